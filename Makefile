@@ -1,0 +1,46 @@
+# Two commands do all the set-up: `make compare` and `make test`.
+# Folders carry the names of targets' subjects: every target is phony, and the stamp alone says what is installed.
+PYTHON ?= python3
+PRESET ?= standard
+SCENES ?=
+OUT    ?= out
+# Processes of the main test lane; each compiles kernels and renders, so more than the cores is no gain.
+JOBS   ?= 2
+
+.PHONY: help install compare test lint format clean distclean
+.DEFAULT_GOAL := help
+
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+.venv/.installed: pyproject.toml constraints.txt
+	@echo "termwise: installing into .venv, which takes a minute or two"
+	@$(PYTHON) -m venv .venv
+	@.venv/bin/python -m pip install --disable-pip-version-check -qq -c constraints.txt -e '.[dev]'
+	@.venv/bin/python -m reference.backend
+	@touch $@
+
+install: .venv/.installed ## Create .venv with everything in it
+
+compare: .venv/.installed ## Render, compare and report: SCENES="monkey two_cubes" PRESET=quick OUT=out
+	@.venv/bin/termwise compare $(SCENES) --study $(PRESET) --out $(OUT)
+
+test: .venv/.installed ## Run the tests, then the unit tests again as plain Python
+	.venv/bin/python -m pytest -q -n $(JOBS)
+	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q tests/unit
+
+lint: .venv/.installed ## Check style, types and layers
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	.venv/bin/pyright
+	.venv/bin/lint-imports
+
+format: .venv/.installed ## Format the sources
+	.venv/bin/ruff check --fix
+	.venv/bin/ruff format
+
+clean: ## Remove results and the tools' caches
+	rm -rf out .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+
+distclean: clean ## Remove the environment and all cached work too
+	rm -rf .venv .cache
