@@ -1,0 +1,1 @@
+"""What is rendered, and the words both sides share: imports neither the renderer nor the reference."""

@@ -1,0 +1,254 @@
+"""`load(name or path) -> Scene`: the library's scenes and the user's TOML files.
+
+A scene file holds the fields of `Scene`, its tables `camera`, `ambient`, `sky`, `photons` and `toggles`, and the
+arrays of tables `objects` and `lights`. Every object names a `shape` (`rectangle`, `box`, `sphere`, `mesh`) and is
+placed by `scale`, then `rotation` (degrees about x, then y, then z), then `translation`.
+Errors are one line: file, field, value, and what is allowed.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import attrs
+import numpy as np
+import OpenEXR
+import trimesh
+
+from scenes import strict
+from scenes.model import (
+    BLACK,
+    Ambient,
+    Camera,
+    Color,
+    Material,
+    Mesh,
+    Object,
+    Photons,
+    PointLight,
+    Scene,
+    Sky,
+    Toggles,
+    Vector,
+    finite,
+    in_range,
+    non_negative,
+    positive,
+)
+from scenes.strict import FileError
+from scenes.terms import Scope
+
+LIBRARY = Path(__file__).parent / "library"
+
+
+def library() -> tuple[str, ...]:
+    """Names of the scenes that ship with Termwise."""
+    return tuple(sorted(path.stem for path in LIBRARY.glob("*.toml")))
+
+
+def load(scene: str | Path) -> Scene:
+    """Load a scene of the library by name, or any scene file by path.
+
+    Raises
+    ------
+    FileError
+        A missing or malformed file, an unknown key, a value out of range, a mesh that is none.
+    """
+    path = LIBRARY / f"{scene}.toml" if str(scene) in library() else Path(scene)
+    if path.suffix != ".toml":
+        raise FileError(
+            f"{scene}: no such scene: allowed are {', '.join(library())} or a path that ends in .toml"
+        )
+    description = strict.read(path, _SceneFile, _converter)
+    try:
+        return description.build(path)
+    except ValueError as error:
+        raise FileError(f"{path}: {error}") from None
+
+
+@attrs.frozen(kw_only=True)
+class _Placed:
+    """What all shapes have in common."""
+
+    shape: ClassVar[str]
+    name: str
+    scale: float = attrs.field(default=1.0, validator=positive)
+    rotation: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
+    translation: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
+    normals: Literal["flat", "smooth"] = "flat"
+    color: Color = Material().color
+    gloss: float = Material().gloss
+    roughness: float = Material().roughness
+    f0: Color = Material().f0
+    emission: Color = attrs.field(default=BLACK, validator=non_negative)
+
+    def __attrs_post_init__(self) -> None:
+        """Check the material where its fields stand in the file."""
+        self.material()
+
+    def material(self) -> Material:
+        return Material(self.color, self.gloss, self.roughness, self.f0)
+
+    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3) and faces (F, 3) before placement."""
+        raise NotImplementedError
+
+    def build(self, folder: Path) -> Object:
+        vertices, faces = self.geometry(folder)
+        placed = self.scale * np.asarray(vertices, np.float64) @ self._rotation().T + self.translation
+        try:
+            mesh = Mesh.from_arrays(placed, faces, smooth=self.normals == "smooth")
+        except ValueError as error:
+            raise ValueError(f"objects: {self.name!r}: {error}") from None
+        return Object(self.name, mesh, self.material(), self.emission)
+
+    def _rotation(self) -> np.ndarray:
+        about_x, about_y, about_z = (math.radians(angle) for angle in self.rotation)
+        return trimesh.transformations.euler_matrix(about_x, about_y, about_z, "sxyz")[:3, :3]
+
+
+@attrs.frozen(kw_only=True)
+class _Rectangle(_Placed):
+    """A parallelogram; its normal is edges[0] x edges[1]."""
+
+    shape: ClassVar[str] = "rectangle"
+    origin: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
+    edges: tuple[Vector, Vector]
+
+    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+        corner = np.asarray(self.origin)
+        first, second = np.asarray(self.edges)
+        if not np.linalg.norm(np.cross(first, second)) > 0:
+            raise ValueError(
+                f"objects: {self.name!r}: edges = {self.edges!r}: allowed are two that span an area"
+            )
+        return np.array([corner, corner + first, corner + first + second, corner + second]), np.array(
+            [[0, 1, 2], [0, 2, 3]]
+        )
+
+
+@attrs.frozen(kw_only=True)
+class _Box(_Placed):
+    """An axis-aligned box around the origin, normals outwards."""
+
+    shape: ClassVar[str] = "box"
+    size: Vector = attrs.field(validator=positive)
+
+    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+        box = trimesh.creation.box(extents=self.size)
+        return box.vertices, box.faces
+
+
+@attrs.frozen(kw_only=True)
+class _Sphere(_Placed):
+    """An icosphere around the origin, vertices on the sphere, normals outwards."""
+
+    shape: ClassVar[str] = "sphere"
+    radius: float = attrs.field(default=1.0, validator=positive)
+    subdivisions: int = attrs.field(default=3, validator=in_range(0, 8))
+
+    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+        sphere = trimesh.creation.icosphere(subdivisions=self.subdivisions, radius=self.radius)
+        return sphere.vertices, sphere.faces
+
+
+@attrs.frozen(kw_only=True)
+class _MeshFile(_Placed):
+    """A PLY, OBJ, STL or GLB file beside the scene file; polygons are triangulated."""
+
+    shape: ClassVar[str] = "mesh"
+    file: str
+
+    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+        path = folder / self.file
+        where = f"objects: {self.name!r}: file = {self.file!r}"
+        if path.suffix.lower() not in (".ply", ".obj", ".stl", ".glb"):
+            raise ValueError(f"{where}: allowed are files that end in .ply, .obj, .stl or .glb")
+        if not path.is_file():
+            raise ValueError(f"{where}: no such file in {folder}")
+        try:
+            # process=False: merging would change vertex count and, with smooth normals, the shading.
+            loaded = trimesh.load(path, process=False, force="mesh")
+        except Exception as error:  # trimesh's readers raise whatever their parser meets
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise ValueError(f"{where}: is not a mesh that can be read ({reason})") from None
+        if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
+            raise ValueError(f"{where}: holds no triangles: allowed is a mesh with at least one")
+        return np.asarray(loaded.vertices), np.asarray(loaded.faces)
+
+
+_SHAPES: dict[str, type[_Placed]] = {kind.shape: kind for kind in (_Rectangle, _Box, _Sphere, _MeshFile)}
+
+
+@attrs.frozen(kw_only=True)
+class _SkyFile:
+    """A sky as the file says it: a colour or the name of a texture."""
+
+    color: Color | None = None
+    texture: str | None = None
+    center: Vector = Sky().center
+    radius: float = Sky().radius
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse a sky that is both or neither."""
+        if (self.color is None) == (self.texture is None):
+            raise ValueError(f"color = {self.color!r}, texture = {self.texture!r}: allowed is one of the two")
+
+    def build(self, folder: Path) -> Sky:
+        if self.texture is None:
+            return Sky(color=self.color or BLACK, center=self.center, radius=self.radius)
+        return Sky(texture=_read_texture(folder, self.texture), center=self.center, radius=self.radius)
+
+
+def _read_texture(folder: Path, name: str) -> np.ndarray:
+    where = f"sky: texture = {name!r}"
+    path = folder / name
+    if not path.is_file():
+        raise ValueError(f"{where}: no such file in {folder}")
+    try:
+        with OpenEXR.File(str(path)) as file:
+            pixels = file.channels()["RGB"].pixels
+    except Exception as error:  # OpenEXR raises RuntimeError, TypeError or KeyError alike
+        raise ValueError(f"{where}: is not an OpenEXR image with RGB channels ({error})") from None
+    texture = np.ascontiguousarray(pixels, np.float32)
+    if not (np.isfinite(texture).all() and (texture >= 0).all()):
+        raise ValueError(f"{where}: holds NaN, infinite or negative texels: allowed are finite ones >= 0")
+    return texture
+
+
+@attrs.frozen(kw_only=True)
+class _SceneFile:
+    """The top level of a scene file."""
+
+    camera: Camera
+    objects: tuple[_Placed, ...] = ()
+    lights: tuple[PointLight, ...] = ()
+    ambient: Ambient = Ambient()
+    sky: _SkyFile | None = None
+    photons: Photons = Photons()
+    toggles: Toggles = Toggles()
+    resolution: tuple[int, int] = (128, 128)
+    exposure: float = 1.0
+    max_bounces: int = 2
+    scope: Scope = "all"
+    shadows: Literal["physical"] = "physical"
+    draw_lights: bool = False
+
+    def build(self, path: Path) -> Scene:
+        fields = attrs.asdict(self, recurse=False)
+        fields["objects"] = tuple(item.build(path.parent) for item in self.objects)
+        fields["sky"] = self.sky.build(path.parent) if self.sky else Sky()
+        return Scene(name=path.stem, **fields)
+
+
+def _shape(value: Any, _kind: type) -> _Placed:
+    if not isinstance(value, dict):
+        raise TypeError("a table")
+    kind = _SHAPES.get(value.get("shape", ""))
+    if kind is None:
+        raise ValueError(f"shape = {value.get('shape')!r}: allowed are {', '.join(_SHAPES)}")
+    return _converter.structure({key: item for key, item in value.items() if key != "shape"}, kind)
+
+
+_converter = strict.converter()
+_converter.register_structure_hook_func(lambda kind: kind is _Placed, _shape)

@@ -1,0 +1,345 @@
+"""The scene: triangle meshes with materials, lights, a sky, an ambient light and a near-plane camera.
+
+The camera is the paper's: the near plane at distance `near` is `width = 2 near tan(fov / 2)` wide and
+`height = width / aspect` high; it is cut into pixels and a ray leaves the camera towards a point of each.
+
+Everything is validated here, at the gate, once for both sides; a ValueError names the field, the value and
+what is allowed. Lengths are in scene units, angles in degrees, radiance in one linear Rec. 709 unit.
+"""
+
+import hashlib
+import math
+from typing import Any, Literal
+
+import attrs
+import numpy as np
+
+from scenes.terms import Scope
+
+Vector = tuple[float, float, float]
+Color = tuple[float, float, float]
+
+BLACK: Color = (0.0, 0.0, 0.0)
+
+
+def _refuse(attribute: attrs.Attribute, value: object, allowed: str):
+    raise ValueError(f"{attribute.name} = {value!r}: allowed is {allowed}")
+
+
+def in_range(low: float, high: float = math.inf, *, open_low: bool = False, open_high: bool = False):
+    """Validate a number, or each component of a triple: finite unless `high` is infinite and closed."""
+    left, right = "(["[not open_low], ")]"[not open_high]
+    allowed = f"a number in {left}{low:g}, {high:g}{right}"
+
+    def validate(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+        for x in value if isinstance(value, tuple) else (value,):
+            above = x > low if open_low else x >= low
+            below = x < high if open_high else x <= high
+            if not (above and below):  # also catches NaN
+                _refuse(attribute, value, allowed)
+
+    return validate
+
+
+positive = in_range(0.0, open_low=True, open_high=True)
+non_negative = in_range(0.0, open_high=True)
+unit_interval = in_range(0.0, 1.0)
+finite = in_range(-math.inf, open_low=True, open_high=True)
+_count = in_range(1, 2**31 - 1)
+
+
+@attrs.frozen
+class Material:
+    """Diffuse `color * (1 - gloss)` under a Cook-Torrance lobe weighted by `gloss`.
+
+    Attributes
+    ----------
+    color : reflectance in [0, 1] per channel.
+    gloss : the paper's share g of reflected light, in [0, 1].
+    roughness : Beckmann alpha, in [1e-4, 1.5].
+    f0 : Schlick's reflectance at normal incidence, in [0, 1] per channel.
+    """
+
+    color: Color = attrs.field(default=(0.8, 0.8, 0.8), validator=unit_interval)
+    gloss: float = attrs.field(default=0.0, validator=unit_interval)
+    roughness: float = attrs.field(default=0.5, validator=in_range(1e-4, 1.5))
+    f0: Color = attrs.field(default=(0.04, 0.04, 0.04), validator=unit_interval)
+
+
+BLACK_SURFACE = Material(color=BLACK, gloss=0.0)
+
+
+@attrs.frozen(eq=False)
+class Mesh:
+    """Triangles, rounded to float32 once so that both sides see the same geometry.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float64 array, each value representable in float32.
+    faces : (F, 3) int64 array of vertex indices; the normal is (v1 - v0) x (v2 - v0).
+    normals : (V, 3) float64 array of unit shading normals, or None for flat shading.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray | None = None
+
+    @classmethod
+    def from_arrays(cls, vertices: Any, faces: Any, *, smooth: bool = False) -> "Mesh":
+        """Check shapes, indices and finiteness; area-weighted vertex normals if `smooth`."""
+        vertices = np.ascontiguousarray(np.asarray(vertices, np.float32), np.float64)
+        faces = np.ascontiguousarray(faces, np.int64)
+        if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,):
+            raise ValueError(
+                f"mesh has vertices {vertices.shape} and faces {faces.shape}: allowed is (V, 3) and (F, 3)"
+            )
+        if len(faces) == 0:
+            raise ValueError("mesh has no faces: allowed is at least one triangle")
+        if not np.isfinite(vertices).all():
+            bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+            raise ValueError(f"vertices[{bad}] = {tuple(vertices[bad].tolist())}: allowed are finite numbers")
+        outside = (faces < 0) | (faces >= len(vertices))
+        if outside.any():
+            bad = int(np.flatnonzero(outside.any(axis=1))[0])
+            raise ValueError(
+                f"faces[{bad}] = {tuple(faces[bad].tolist())}: allowed are indices in [0, {len(vertices) - 1}]"
+            )
+        normals = _vertex_normals(vertices, faces) if smooth else None
+        return cls(vertices, faces, normals)
+
+
+def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    corners = vertices[faces]
+    weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], weighted)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    unit = np.divide(normals, length, out=np.tile([0.0, 0.0, 1.0], (len(normals), 1)), where=length > 0)
+    return unit.astype(np.float32).astype(np.float64)
+
+
+@attrs.frozen(eq=False)
+class Object:
+    """A named mesh with a material; an object that emits is an area light and its surface is black.
+
+    `emission` is the radiance leaving the side that the face normals point to; the surface of an
+    emitter neither reflects nor transmits, on both sides, for every term.
+    """
+
+    name: str
+    mesh: Mesh
+    material: Material = Material()
+    emission: Color = attrs.field(default=BLACK, validator=non_negative)
+
+    @property
+    def emits(self) -> bool:
+        """Whether the object is an area light."""
+        return any(self.emission)
+
+    @property
+    def surface(self) -> Material:
+        """The material that light meets: black where the object emits."""
+        return BLACK_SURFACE if self.emits else self.material
+
+
+@attrs.frozen
+class PointLight:
+    """A point that radiates `intensity` (radiance x area) in every direction."""
+
+    position: Vector = attrs.field(validator=finite)
+    intensity: Color = attrs.field(validator=non_negative)
+
+
+@attrs.frozen(eq=False)
+class Sky:
+    """What a ray sees that misses everything: a constant colour, or the paper's textured sphere.
+
+    With a texture the ray is intersected with the sphere (`center`, `radius`), the farther hit counting,
+    and, n being the unit vector from the centre to that point, the texture is looked up at
+    `u = atan2(n.x, n.y) / (2 pi) + 0.5`, `v = 0.5 - n.z / 2` (paper), bilinearly between texel centres
+    at (i + 0.5) / size, u repeating and v clamped. A ray that misses the sphere is black.
+
+    Attributes
+    ----------
+    color : radiance of a constant sky; ignored with a texture.
+    texture : (H, W, 3) float32 array, or None.
+    """
+
+    color: Color = attrs.field(default=BLACK, validator=non_negative)
+    texture: np.ndarray | None = None
+    center: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
+    radius: float = attrs.field(default=100.0, validator=positive)
+
+    @property
+    def is_black(self) -> bool:
+        """Whether the sky contributes nothing."""
+        return not (any(self.color) if self.texture is None else self.texture.any())
+
+
+@attrs.frozen
+class Ambient:
+    """The ambient light L_a0, and the distance beyond which nothing occludes it (`range`)."""
+
+    color: Color = attrs.field(default=BLACK, validator=non_negative)
+    range: float = attrs.field(default=math.inf, validator=in_range(0.0, open_low=True))
+
+
+@attrs.frozen
+class Camera:
+    """The paper's near-plane camera; `pixel` says where in a pixel the ray goes through.
+
+    `corner` is the paper's top-left corner, `centre` the middle, `jitter` a random point (default).
+    """
+
+    position: Vector = attrs.field(validator=finite)
+    target: Vector = attrs.field(validator=finite)
+    up: Vector = attrs.field(default=(0.0, 0.0, 1.0), validator=finite)
+    fov: float = attrs.field(default=45.0, validator=in_range(0.0, 180.0, open_low=True, open_high=True))
+    near: float = attrs.field(default=0.1, validator=positive)
+    pixel: Literal["corner", "centre", "jitter"] = "jitter"
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse a camera that has no direction."""
+        forward = np.subtract(self.target, self.position)
+        if not np.linalg.norm(np.cross(forward, self.up)) > 0:
+            raise ValueError(f"up = {self.up!r}: allowed is a vector not parallel to target - position")
+
+    def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Unit vectors to the right, up and forward, each (3,) float64."""
+        forward = np.subtract(self.target, self.position).astype(np.float64)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, np.asarray(self.up, np.float64))
+        right /= np.linalg.norm(right)
+        return right, np.cross(right, forward), forward
+
+    def rays(self, film: np.ndarray, *, aspect: float) -> np.ndarray:
+        """Unit directions through points of the near plane (paper).
+
+        Parameters
+        ----------
+        film : (..., 2) array
+            Positions in [0, 1]²: (0, 0) is the top-left corner, x to the right, y down.
+        aspect : float
+            Width over height.
+
+        Returns
+        -------
+        (..., 3) float64 unit vectors; the origin of every ray is `position`.
+        """
+        right, up, forward = self.frame()
+        width = 2.0 * self.near * math.tan(math.radians(self.fov) / 2.0)
+        height = width / aspect
+        x = (np.asarray(film)[..., 0] - 0.5) * width
+        y = (0.5 - np.asarray(film)[..., 1]) * height
+        directions = x[..., None] * right + y[..., None] * up + self.near * forward
+        return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+@attrs.frozen
+class Photons:
+    """Photon maps: photons emitted per pass, the kernel radius of the first pass, and k of the paper's search."""
+
+    count: int = attrs.field(default=50_000, validator=_count)
+    radius: float = attrs.field(default=0.05, validator=positive)
+    nearest: int = attrs.field(default=50, validator=in_range(2, 2**31 - 1))
+
+
+@attrs.frozen
+class Toggles:
+    """The paper's switches.
+
+    ambient_occlusion off: the ambient light is L_a0 everywhere. lighting off: no direct term.
+    reflections off: no specular term, and the diffuse weight is `color` without (1 - gloss), as the
+    paper's code has it.
+    """
+
+    ambient_occlusion: bool = True
+    lighting: bool = True
+    reflections: bool = True
+
+
+@attrs.frozen(eq=False)
+class Scene:
+    """Everything that is rendered. Immutable; `attrs.evolve` makes variations."""
+
+    name: str
+    camera: Camera
+    objects: tuple[Object, ...] = ()
+    lights: tuple[PointLight, ...] = ()
+    ambient: Ambient = Ambient()
+    sky: Sky = attrs.field(factory=Sky)
+    photons: Photons = Photons()
+    toggles: Toggles = Toggles()
+    resolution: tuple[int, int] = attrs.field(default=(128, 128), validator=in_range(1, 65536))
+    exposure: float = attrs.field(default=1.0, validator=positive)
+    max_bounces: int = attrs.field(default=2, validator=in_range(0, 64))
+    scope: Scope = "all"
+    shadows: Literal["physical"] = "physical"
+    draw_lights: bool = False
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse two objects of one name: verdicts are reported by object."""
+        names = [thing.name for thing in self.objects]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"objects: name {name!r} is used twice: allowed are distinct names")
+
+    @property
+    def aspect(self) -> float:
+        """Width over height."""
+        return self.resolution[0] / self.resolution[1]
+
+    def diffuse_weight(self, material: Material) -> Color:
+        """`color * (1 - gloss)`; `color` alone where reflections are off (paper's code)."""
+        share = 1.0 - material.gloss if self.toggles.reflections else 1.0
+        red, green, blue = material.color
+        return red * share, green * share, blue * share
+
+    def specular_weight(self, material: Material) -> float:
+        """Gloss; 0 where reflections are off."""
+        return material.gloss if self.toggles.reflections else 0.0
+
+    @property
+    def has_lights(self) -> bool:
+        """Whether anything emits light and lighting is on."""
+        shining = any(any(light.intensity) for light in self.lights)
+        return self.toggles.lighting and (shining or any(thing.emits for thing in self.objects))
+
+    @property
+    def occlusion_range(self) -> float:
+        """Distance within which geometry hides the ambient light; 0 where ambient occlusion is off."""
+        return self.ambient.range if self.toggles.ambient_occlusion else 0.0
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of the box around all vertices, (3,) float64 each; zeros for an empty scene."""
+        if not self.objects:
+            return np.zeros(3), np.zeros(3)
+        lows = [thing.mesh.vertices.min(axis=0) for thing in self.objects]
+        highs = [thing.mesh.vertices.max(axis=0) for thing in self.objects]
+        return np.min(lows, axis=0), np.max(highs, axis=0)
+
+    def digest(self, *, without: tuple[str, ...] = ("name", "exposure")) -> str:
+        """sha256 of the content, fields named in `without` left out: equal scenes share cached results."""
+        state = hashlib.sha256()
+        for field in attrs.fields(Scene):
+            if field.name not in without:
+                _absorb(state, field.name)
+                _absorb(state, getattr(self, field.name))
+        return state.hexdigest()
+
+
+def _absorb(state: Any, value: Any) -> None:
+    """Feed a value of the model into a hash, with its type and shape, so that no two values run together."""
+    if attrs.has(type(value)):
+        state.update(type(value).__name__.encode())
+        for field in attrs.fields(type(value)):
+            _absorb(state, getattr(value, field.name))
+    elif isinstance(value, np.ndarray):
+        state.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, tuple):
+        state.update(f"({len(value)}".encode())
+        for item in value:
+            _absorb(state, item)
+    else:
+        state.update(f"{type(value).__name__}:{value!r};".encode())
