@@ -1,0 +1,212 @@
+"""Scene to contiguous arrays in flat NamedTuples: the one gate for dtype, shape and default.
+
+What a kernel may assume is written here. All floats are float64, all indices int32.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from renderer.geometry import bvh
+from renderer.geometry.bvh import Tree
+from renderer.vector import Vec3
+from scenes.model import Camera, PointLight, Scene
+
+
+class Geometry(NamedTuple):
+    """Triangles of all objects in one list.
+
+    Attributes
+    ----------
+    corners : (F, 3, 3), vertex positions.
+    normals : (F, 3), unit geometric normals, zero for a face without area.
+    shading : (F, 3, 3), unit normals at the corners; the geometric one where shading is flat.
+    smooth : (F,) bool, whether `shading` is interpolated.
+    object : (F,) index of the object.
+    tree : the hierarchy over the faces.
+    """
+
+    corners: np.ndarray
+    normals: np.ndarray
+    shading: np.ndarray
+    smooth: np.ndarray
+    object: np.ndarray
+    tree: Tree
+
+
+class Materials(NamedTuple):
+    """What surfaces of each object do to light; emitters are black.
+
+    Attributes
+    ----------
+    diffuse : (O, 3), color (1 - gloss).
+    specular : (O,), gloss.
+    alpha : (O,), Beckmann roughness.
+    f0 : (O, 3), Schlick's reflectance at normal incidence.
+    emission : (O, 3), radiance of the front side.
+    """
+
+    diffuse: np.ndarray
+    specular: np.ndarray
+    alpha: np.ndarray
+    f0: np.ndarray
+    emission: np.ndarray
+
+
+class Emitters(NamedTuple):
+    """Point lights first, then emitting faces; picked in proportion to their power.
+
+    Attributes
+    ----------
+    point : (P, 3), positions.
+    intensity : (P, 3).
+    face : (E,), face indices.
+    area : (E,), area of each face.
+    cdf : (P + E,), running sum of the picking probabilities; the last entry is 1. Empty without lights.
+    """
+
+    point: np.ndarray
+    intensity: np.ndarray
+    face: np.ndarray
+    area: np.ndarray
+    cdf: np.ndarray
+
+
+class SkyArrays(NamedTuple):
+    """A constant colour, or a texture (H, W, 3) on a sphere; the texture is (0, 0, 3) without one."""
+
+    color: Vec3
+    texture: np.ndarray
+    center: Vec3
+    radius: float
+
+
+class CameraArrays(NamedTuple):
+    """Direction through film position (x, y) in [0, 1]²: corner + x across + y down, not normalised.
+
+    `rule` is an index into PIXEL_RULES.
+    """
+
+    position: Vec3
+    corner: Vec3
+    across: Vec3
+    down: Vec3
+    width: int
+    height: int
+    rule: int
+
+
+PIXEL_RULES = ("corner", "centre", "jitter")
+
+
+class SceneArrays(NamedTuple):
+    """All that a kernel sees of a scene; `ambient_range` 0 means that ambient occlusion is off."""
+
+    geometry: Geometry
+    materials: Materials
+    emitters: Emitters
+    sky: SkyArrays
+    camera: CameraArrays
+    ambient: Vec3
+    ambient_range: float
+    max_bounces: int
+    draw_lights: bool
+
+
+def from_scene(scene: Scene) -> SceneArrays:
+    """Flatten a validated scene and build its tree."""
+    geometry = _geometry(scene)
+    return SceneArrays(
+        geometry,
+        _materials(scene),
+        _emitters(scene, geometry),
+        _sky(scene),
+        _camera(scene.camera, scene.resolution),
+        Vec3(*scene.ambient.color),
+        scene.occlusion_range,
+        scene.max_bounces,
+        scene.draw_lights,
+    )
+
+
+def _geometry(scene: Scene) -> Geometry:
+    corners, shading, smooth, owner = [], [], [], []
+    for index, thing in enumerate(scene.objects):
+        mesh = thing.mesh
+        corners.append(mesh.vertices[mesh.faces])
+        is_smooth = mesh.normals is not None
+        shading.append(mesh.normals[mesh.faces] if mesh.normals is not None else np.zeros_like(corners[-1]))
+        smooth.append(np.full(len(mesh.faces), is_smooth))
+        owner.append(np.full(len(mesh.faces), index, np.int32))
+    if not corners:
+        empty = np.zeros((0, 3, 3))
+        none = np.zeros(0, np.int32)
+        return Geometry(empty, np.zeros((0, 3)), empty, none.astype(np.bool_), none, bvh.build(empty))
+    faces = np.ascontiguousarray(np.concatenate(corners))
+    area_normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    length = np.linalg.norm(area_normals, axis=1, keepdims=True)
+    normals = np.divide(area_normals, length, out=np.zeros_like(area_normals), where=length > 0)
+    shading_normals = np.ascontiguousarray(np.concatenate(shading))
+    is_smooth = np.concatenate(smooth)
+    shading_normals[~is_smooth] = normals[~is_smooth, None, :]
+    return Geometry(
+        faces, normals, shading_normals, is_smooth, np.concatenate(owner).astype(np.int32), bvh.build(faces)
+    )
+
+
+def _materials(scene: Scene) -> Materials:
+    surfaces = [thing.surface for thing in scene.objects]
+    lit = scene.toggles.lighting
+    return Materials(
+        np.array([scene.diffuse_weight(surface) for surface in surfaces]).reshape(-1, 3),
+        np.array([scene.specular_weight(surface) for surface in surfaces]).reshape(-1),
+        np.array([surface.roughness for surface in surfaces]).reshape(-1),
+        np.array([surface.f0 for surface in surfaces]).reshape(-1, 3),
+        np.array([thing.emission if lit else (0.0, 0.0, 0.0) for thing in scene.objects]).reshape(-1, 3),
+    )
+
+
+def _emitters(scene: Scene, geometry: Geometry) -> Emitters:
+    points: list[PointLight] = []
+    faces = np.zeros(0, np.int32)
+    if scene.toggles.lighting:
+        points = [light for light in scene.lights if any(light.intensity)]
+        emits = np.array([thing.emits for thing in scene.objects], np.bool_)
+        if emits.any():
+            faces = np.flatnonzero(emits[geometry.object]).astype(np.int32)
+    edges = geometry.corners[faces]
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1)
+    faces, area = faces[area > 0], area[area > 0]
+    intensity = np.array([light.intensity for light in points]).reshape(-1, 3)
+    radiance = np.array([thing.emission for thing in scene.objects]).reshape(-1, 3)[geometry.object[faces]]
+    power = np.concatenate([4.0 * math.pi * intensity.mean(axis=1), math.pi * area * radiance.mean(axis=1)])
+    cdf = np.cumsum(power) / power.sum() if len(power) else power
+    if len(cdf):
+        cdf[-1] = 1.0
+    position = np.array([light.position for light in points]).reshape(-1, 3)
+    return Emitters(position, intensity, faces, area, cdf)
+
+
+def _sky(scene: Scene) -> SkyArrays:
+    sky = scene.sky
+    texture = np.zeros((0, 0, 3)) if sky.texture is None else sky.texture.astype(np.float64)
+    return SkyArrays(Vec3(*sky.color), np.ascontiguousarray(texture), Vec3(*sky.center), sky.radius)
+
+
+def _camera(camera: Camera, resolution: tuple[int, int]) -> CameraArrays:
+    width, height = resolution
+    right, up, forward = camera.frame()
+    extent = 2.0 * camera.near * math.tan(math.radians(camera.fov) / 2.0)
+    across = extent * right
+    down = -extent * height / width * up
+    corner = camera.near * forward - 0.5 * across - 0.5 * down
+    return CameraArrays(
+        Vec3(*camera.position),
+        Vec3(*corner.tolist()),
+        Vec3(*across.tolist()),
+        Vec3(*down.tolist()),
+        width,
+        height,
+        PIXEL_RULES.index(camera.pixel),
+    )

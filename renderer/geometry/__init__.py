@@ -1,0 +1,1 @@
+"""Ray and triangle: watertight intersection, the tree, closest and any hit."""

@@ -1,0 +1,121 @@
+"""`closest_hit` and `any_hit`: depth-first descent of the tree, nearer child first.
+
+A box is entered where its three slabs overlap on (0, far]. The slab test compares and keeps, so that the NaN of a ray
+lying in a slab plane is passed over, and widens the far side by 4 ulp (Ize, "Robust BVH Ray Traversal", JCGT 2(2),
+2013); a plain min/max test misses half of the axis-aligned rays that start in a slab plane.
+Of two faces at the same distance the lower index is hit, whatever the order of descent.
+"""
+
+import math
+
+import numpy as np
+
+from renderer.geometry.bvh import Tree
+from renderer.geometry.intersect import Hit, Ray, intersect_triangle
+from renderer.jit import device
+from renderer.vector import entry
+
+_WIDEN = 1.0 + 4.0 * 2.0**-52
+
+
+@device
+def _enter(bounds: np.ndarray, node: int, ray: Ray, far: float) -> float:
+    """Distance at which the ray enters a box, inf where it misses it."""
+    sx = 1 if ray.inverse.x < 0.0 else 0
+    sy = 1 if ray.inverse.y < 0.0 else 0
+    sz = 1 if ray.inverse.z < 0.0 else 0
+    near = 0.0
+    t = (bounds[node, sx, 0] - ray.origin.x) * ray.inverse.x
+    near = t if t > near else near
+    t = (bounds[node, sy, 1] - ray.origin.y) * ray.inverse.y
+    near = t if t > near else near
+    t = (bounds[node, sz, 2] - ray.origin.z) * ray.inverse.z
+    near = t if t > near else near
+    t = (bounds[node, 1 - sx, 0] - ray.origin.x) * ray.inverse.x * _WIDEN
+    far = t if t < far else far
+    t = (bounds[node, 1 - sy, 1] - ray.origin.y) * ray.inverse.y * _WIDEN
+    far = t if t < far else far
+    t = (bounds[node, 1 - sz, 2] - ray.origin.z) * ray.inverse.z * _WIDEN
+    far = t if t < far else far
+    return near if near <= far else math.inf
+
+
+@device
+def closest_hit(corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: int, stack: np.ndarray) -> Hit:
+    """Nearest hit at 0 < t <= far on any face but `ignore`; `stack` is int32 scratch of STACK_SIZE."""
+    best = Hit(far, -1, 0.0, 0.0)
+    if len(tree.right) == 0:
+        return best
+    size = 0
+    node = 0
+    if _enter(tree.bounds, 0, ray, far) == math.inf:
+        return best
+    while True:
+        if tree.count[node] > 0:
+            for i in range(tree.first[node], tree.first[node] + tree.count[node]):
+                face = entry(tree.order, i)
+                if face != ignore:
+                    hit = intersect_triangle(ray, corners, face, best.t)
+                    if hit.face >= 0 and (hit.t < best.t or best.face < 0 or face < best.face):
+                        best = hit
+        else:
+            left = node + 1
+            right = entry(tree.right, node)
+            enter_left = _enter(tree.bounds, left, ray, best.t)
+            enter_right = _enter(tree.bounds, right, ray, best.t)
+            if enter_left < math.inf:
+                if enter_right < math.inf:
+                    if enter_left <= enter_right:
+                        stack[size] = right
+                        node = left
+                    else:
+                        stack[size] = left
+                        node = right
+                    size += 1
+                else:
+                    node = left
+                continue
+            if enter_right < math.inf:
+                node = right
+                continue
+        if size == 0:
+            return best
+        size -= 1
+        node = entry(stack, size)
+
+
+@device
+def any_hit(
+    corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: int, target: int, stack: np.ndarray
+) -> bool:
+    """Whether a face other than `ignore` and `target` is hit at 0 < t < far."""
+    if len(tree.right) == 0 or _enter(tree.bounds, 0, ray, far) == math.inf:
+        return False
+    size = 0
+    node = 0
+    while True:
+        if tree.count[node] > 0:
+            for i in range(tree.first[node], tree.first[node] + tree.count[node]):
+                face = entry(tree.order, i)
+                if face != ignore and face != target:
+                    hit = intersect_triangle(ray, corners, face, far)
+                    if hit.face >= 0 and hit.t < far:
+                        return True
+        else:
+            left = node + 1
+            right = entry(tree.right, node)
+            enter_left = _enter(tree.bounds, left, ray, far) < math.inf
+            enter_right = _enter(tree.bounds, right, ray, far) < math.inf
+            if enter_left:
+                if enter_right:
+                    stack[size] = right
+                    size += 1
+                node = left
+                continue
+            if enter_right:
+                node = right
+                continue
+        if size == 0:
+            return False
+        size -= 1
+        node = entry(stack, size)

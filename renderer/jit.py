@@ -1,0 +1,109 @@
+"""The only place that names a Numba option: `@device` for functions called in kernels, `@kernel` for tile drivers.
+
+No fastmath: it deletes NaN and infinity checks, and bias is what is measured here. A kernel releases the GIL, so
+that tiles run on a thread pool.
+
+A cached Numba function keeps the stale result of an edited callee in another module. The cache directory of a
+function is therefore named by the sha256 of its module and of every module of `renderer` that it imports, directly or
+not: an edit recompiles what it reaches, and nothing else.
+"""
+
+import ast
+import functools
+import hashlib
+import importlib
+import importlib.util
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+from numba.core import config
+
+from scenes.store import cache_folder
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@functools.cache
+def _imports(module: str) -> tuple[Path, frozenset[str]]:
+    """File of a module, and the modules of `renderer` that it imports."""
+    path = Path(inspect.getfile(importlib.import_module(module)))
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "renderer":
+            found.add(node.module)
+            # `from renderer import sobol` names a module, `from renderer.sobol import x` a function.
+            nested = (f"{node.module}.{name.name}" for name in node.names)
+            found.update(name for name in nested if _is_module(name))
+        elif isinstance(node, ast.Import):
+            found.update(name.name for name in node.names if name.name.split(".")[0] == "renderer")
+    return path, frozenset(found - {"renderer"})
+
+
+def _is_module(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+@functools.cache
+def closure_digest(module: str) -> str:
+    """sha256 over the sources of `module` and of all modules of `renderer` that it reaches by imports."""
+    reached: dict[str, Path] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name not in reached:
+            reached[name], imported = _imports(name)
+            waiting.extend(imported)
+    state = hashlib.sha256(numba.__version__.encode())
+    for name in sorted(reached):
+        state.update(f"{name}\0".encode() + reached[name].read_bytes())
+    return state.hexdigest()
+
+
+def _compile(function: F) -> F:
+    # Numba's settings are untyped attributes.
+    settings = cast(Any, config)
+    before = settings.CACHE_DIR
+    # Set around this call only: the user's own Numba cache stays where it is.
+    settings.CACHE_DIR = str(cache_folder() / "numba" / closure_digest(function.__module__)[:16])
+    try:
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    finally:
+        settings.CACHE_DIR = before
+    if settings.DISABLE_JIT:
+        # Compiled code wraps integers and makes inf and NaN in silence; NumPy's scalars would warn of it.
+        return cast(F, np.errstate(all="ignore")(function))
+    # The dispatcher is called like the function it was made from.
+    return cast(F, compiled)
+
+
+def device(function: F) -> F:
+    """Compile a function that kernels call."""
+    return _compile(function)
+
+
+KERNELS: list[Any] = []
+
+
+def kernel(function: F) -> F:
+    """Compile a driver that Python calls, once per tile."""
+    compiled = _compile(function)
+    KERNELS.append(compiled)
+    return compiled
+
+
+def compiled_kernels() -> list[str]:
+    """Names of the kernels compiled or loaded so far: a scene's skips show here."""
+    return [item.__name__ for item in KERNELS if getattr(item, "signatures", None)]
+
+
+def warm(function: Callable[..., Any], *arguments: Any) -> None:
+    """Compile `function` for the types of `arguments`, or load it, without running it."""
+    if hasattr(function, "compile"):  # not with NUMBA_DISABLE_JIT=1
+        cast(Any, function).compile(tuple(numba.typeof(argument) for argument in arguments))

@@ -1,0 +1,71 @@
+"""Light sampling: irradiance `E / pi` at a point from one emitter, picked in proportion to its power.
+
+Point light of intensity I: `E = I cos(theta) / d²`. Face of radiance L and area A, uniform point on it:
+`E = L cos(theta) cos(theta') A / d²`, the front side of the face only. Divided by the probability of the pick.
+Unbiased at any count.
+"""
+
+import math
+
+import numpy as np
+
+from renderer.arrays import Emitters, SceneArrays
+from renderer.jit import device
+from renderer.sobol import Sampler, sample_1d, sample_2d
+from renderer.surface import Surface, occluded, point_on_face
+from renderer.vector import Vec3, dot, entry, length, scale, sub, vec3
+from renderer.warp import INV_PI, square_to_triangle
+
+
+@device
+def pick(emitters: Emitters, u: float) -> tuple[int, float]:
+    """Index of an emitter and the probability of picking it."""
+    low = 0
+    high = len(emitters.cdf) - 1
+    while low < high:
+        middle = (low + high) // 2
+        if u < emitters.cdf[middle]:
+            high = middle
+        else:
+            low = middle + 1
+    before = emitters.cdf[low - 1] if low > 0 else 0.0
+    return low, emitters.cdf[low] - before
+
+
+@device
+def light_irradiance(
+    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, stack: np.ndarray
+) -> Vec3:
+    """E / pi at a surface, one sample; uses the pairs `dimension` and `dimension + 1`."""
+    emitters = scene.emitters
+    if len(emitters.cdf) == 0:
+        return Vec3(0.0, 0.0, 0.0)
+    index = 0
+    probability = 1.0
+    if len(emitters.cdf) > 1:
+        index, probability = pick(emitters, sample_1d(sampler, dimension))
+    points = len(emitters.point)
+    target = -1
+    if index < points:
+        direction = sub(vec3(emitters.point, index), surface.point)
+        radiant = vec3(emitters.intensity, index)
+        strength = INV_PI / probability
+    else:
+        target = entry(emitters.face, index - points)
+        u, v = sample_2d(sampler, dimension + 1)
+        b1, b2 = square_to_triangle(u, v)
+        direction = sub(point_on_face(scene.geometry, target, b1, b2), surface.point)
+        cos_light = -dot(vec3(scene.geometry.normals, target), direction)
+        if cos_light <= 0.0:
+            return Vec3(0.0, 0.0, 0.0)
+        radiant = vec3(scene.materials.emission, scene.geometry.object[target])
+        strength = INV_PI * emitters.area[index - points] * cos_light / (length(direction) * probability)
+    # `direction` is not normalised: each cosine carries one factor of the distance.
+    cos_surface = dot(surface.normal, direction)
+    if cos_surface <= 0.0:
+        return Vec3(0.0, 0.0, 0.0)
+    square = dot(direction, direction)
+    strength *= cos_surface / (square * math.sqrt(square))
+    if occluded(scene, surface, direction, 1.0, target, stack):
+        return Vec3(0.0, 0.0, 0.0)
+    return scale(radiant, strength)

@@ -1,0 +1,82 @@
+"""What a scene needs: every piece of work, whether it runs, and why not where it does not.
+
+A skip is work that cannot contribute: the image is the same to the bit without it.
+"""
+
+import attrs
+
+from renderer.terms.variant import Chain, Stored, Variant
+from scenes.model import Scene
+from scenes.terms import TERMS, Term
+
+
+@attrs.frozen
+class Step:
+    """One piece of work; `reason` says why it runs or why it is skipped."""
+
+    term: Term
+    work: str
+    runs: bool
+    reason: str
+
+
+def _first(*cases: tuple[bool, str]) -> str | None:
+    """The reason of the first case that holds."""
+    return next((reason for holds, reason in cases if holds), None)
+
+
+def skipped(scene: Scene, term: Term) -> str | None:
+    """Why a term is zero everywhere, or None where it has to be rendered."""
+    surfaces = [thing.surface for thing in scene.objects]
+    diffuse = any(any(scene.diffuse_weight(surface)) for surface in surfaces)
+    glossy = any(scene.specular_weight(surface) for surface in surfaces)
+    if term == "ambient":
+        return _first(
+            (not any(scene.ambient.color), "the ambient light is black"),
+            (not diffuse, "no surface has color (1 - gloss) > 0"),
+        )
+    if term == "direct":
+        return _first(
+            (not scene.toggles.lighting, "lighting is off"),
+            (not scene.has_lights, "the scene has no light"),
+            (not diffuse, "no surface has color (1 - gloss) > 0"),
+        )
+    if term == "specular":
+        return _first(
+            (not scene.toggles.reflections, "reflections are off"),
+            (not glossy, "no surface has gloss > 0"),
+            (scene.max_bounces == 0, "max_bounces is 0"),
+        )
+    return _first(
+        (
+            scene.sky.is_black and not (scene.draw_lights and scene.has_lights),
+            "the sky is black and lights are not drawn",
+        )
+    )
+
+
+def needs_photons(scene: Scene, variant: Variant, chain: Chain) -> Stored | None:
+    """Which photons the maps of a variant hold: "scattered" or "all"; None where no map is needed."""
+    return variant.photons(scene, chain) if skipped(scene, "direct") is None else None
+
+
+def plan(scene: Scene, variants: dict[Term, Variant], *, chain: Chain = "next-event") -> tuple[Step, ...]:
+    """The steps of rendering `scene` with the given variants."""
+    steps = []
+    for term in TERMS:
+        reason = skipped(scene, term)
+        variant = variants[term]
+        steps.append(
+            Step(
+                term, f"kernel {variant.name}", reason is None, reason or f"estimates {variant.converges_to}"
+            )
+        )
+        if term == "ambient":
+            off = reason or (None if scene.occlusion_range else "ambient occlusion is off: L_a0 everywhere")
+            steps.append(Step(term, "occlusion rays", off is None, off or "one a sample"))
+        if variant.photons(scene, chain) or term == "direct":
+            kept = needs_photons(scene, variant, chain)
+            why = f"{scene.photons.count} photons a pass, {kept} kept"
+            off = reason or skipped(scene, "direct") or "the scope is first-hit, or the estimator is a path"
+            steps.append(Step(term, "photon maps", kept is not None and reason is None, why if kept else off))
+    return tuple(steps)

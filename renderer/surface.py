@@ -1,0 +1,84 @@
+"""Where a ray meets a surface: `x = (1 - b1 - b2) v0 + b1 v1 + b2 v2`, and the normal that faces the ray.
+
+The point comes from barycentrics, not from o + t d, so it lies on the face to the last bits whatever the distance
+travelled; rays that leave it skip this face by its index, never by an epsilon.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from renderer.arrays import Geometry, SceneArrays
+from renderer.geometry.intersect import Hit, Ray, make_ray
+from renderer.geometry.traverse import any_hit, closest_hit
+from renderer.jit import device
+from renderer.vector import Vec3, dot, entry, negate, normalize, vec3
+
+
+class Surface(NamedTuple):
+    """A point on a face (-1: the ray missed everything).
+
+    `normal` is the shading normal, turned towards the ray's origin; `side` is +1 where that origin is on the
+    side that the face's own normal points to, else -1.
+    """
+
+    point: Vec3
+    normal: Vec3
+    wo: Vec3
+    face: int
+    object: int
+    side: float
+
+
+@device
+def point_on_face(geometry: Geometry, face: int, b1: float, b2: float) -> Vec3:
+    """Point with barycentric weights b1, b2 of the corners 1 and 2."""
+    b0 = 1.0 - b1 - b2
+    c = geometry.corners
+    return Vec3(
+        b0 * c[face, 0, 0] + b1 * c[face, 1, 0] + b2 * c[face, 2, 0],
+        b0 * c[face, 0, 1] + b1 * c[face, 1, 1] + b2 * c[face, 2, 1],
+        b0 * c[face, 0, 2] + b1 * c[face, 1, 2] + b2 * c[face, 2, 2],
+    )
+
+
+@device
+def _shading_normal(geometry: Geometry, face: int, b1: float, b2: float) -> Vec3:
+    if not geometry.smooth[face]:
+        return vec3(geometry.normals, face)
+    b0 = 1.0 - b1 - b2
+    n = geometry.shading
+    return normalize(
+        Vec3(
+            b0 * n[face, 0, 0] + b1 * n[face, 1, 0] + b2 * n[face, 2, 0],
+            b0 * n[face, 0, 1] + b1 * n[face, 1, 1] + b2 * n[face, 2, 1],
+            b0 * n[face, 0, 2] + b1 * n[face, 1, 2] + b2 * n[face, 2, 2],
+        )
+    )
+
+
+@device
+def trace(scene: SceneArrays, ray: Ray, ignore: int, stack: np.ndarray) -> Surface:
+    """Nearest surface along a ray of unit direction, `ignore` being the face that it leaves (-1: none)."""
+    geometry = scene.geometry
+    hit: Hit = closest_hit(geometry.corners, geometry.tree, ray, math.inf, ignore, stack)
+    wo = negate(ray.direction)
+    if hit.face < 0:
+        return Surface(ray.origin, wo, wo, -1, -1, 1.0)
+    normal = _shading_normal(geometry, hit.face, hit.b1, hit.b2)
+    if dot(normal, wo) < 0.0:
+        normal = negate(normal)
+    side = 1.0 if dot(vec3(geometry.normals, hit.face), wo) >= 0.0 else -1.0
+    point = point_on_face(geometry, hit.face, hit.b1, hit.b2)
+    return Surface(point, normal, wo, hit.face, entry(geometry.object, hit.face), side)
+
+
+@device
+def occluded(
+    scene: SceneArrays, surface: Surface, direction: Vec3, far: float, target: int, stack: np.ndarray
+) -> bool:
+    """Whether anything but face `target` lies nearer than `far` (in lengths of `direction`)."""
+    geometry = scene.geometry
+    ray = make_ray(surface.point, direction)
+    return any_hit(geometry.corners, geometry.tree, ray, far, surface.face, target, stack)

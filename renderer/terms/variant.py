@@ -1,0 +1,57 @@
+"""A variant: one named estimator of a term, with the integral that it converges to."""
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import attrs
+
+from renderer.photon_map import PhotonMap
+from scenes.limits import Limit
+from scenes.model import Scene
+from scenes.terms import Term
+
+# Which direct estimator the vertices of a specular chain use: the product's default, or the unbiased one that a study
+# of specular variants uses, so that kernel bias cannot leak into its verdict.
+Chain = Literal["next-event", "path"]
+# Photons kept in a map: those that were scattered at least once, or all.
+Stored = Literal["scattered", "all"]
+
+
+@attrs.frozen
+class Variant:
+    """One row of a term's table.
+
+    Attributes
+    ----------
+    name : the variant's name within its term.
+    term : the term it estimates.
+    driver : the kernel `driver(scene, *inputs, key, first, last, tile, out)`, which adds samples [first, last) of
+        the pixels of a tile to `out` (H, W, 3) float64.
+    inputs : (scene, chain, photon map) -> the driver's further arguments.
+    limit : scene -> Limit, what it converges to.
+    kind : "right" where the limit is the term's true integral, else "wrong".
+    equation : the estimator, as LaTeX.
+    converges_to : its limit, as LaTeX.
+    source : where it comes from.
+    photons : (scene, chain) -> which photons its maps hold: None for no map at all.
+    kernel_based : scene -> whether its bias vanishes only as the kernel radius goes to 0.
+    allowance : share of bias that is granted to a kernel-based variant, printed beside every verdict.
+    ratio : scene -> predicted own / correct where that is one number for the whole image, else None.
+    judged : whether a verdict is due; `why_not` says why where it is not.
+    """
+
+    name: str
+    term: Term
+    driver: Callable[..., None]
+    limit: Callable[[Scene], Limit]
+    kind: Literal["right", "wrong"]
+    equation: str
+    converges_to: str
+    source: str
+    inputs: Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]] = lambda scene, chain, photons: ()
+    photons: Callable[[Scene, Chain], Stored | None] = lambda scene, chain: None
+    kernel_based: Callable[[Scene], bool] = lambda scene: False
+    allowance: float = 0.0
+    ratio: Callable[[Scene], float | None] = lambda scene: None
+    judged: bool = True
+    why_not: str = ""

@@ -1,0 +1,166 @@
+"""Tiles on a thread pool: the image is a sum over samples, each pixel's in the same order whatever the threads.
+
+Sweeps are prefixes: the sums after 1, 2, 4, ... samples of one run, so that a sweep costs no more than its last point.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from renderer import photon_map
+from renderer.arrays import SceneArrays, from_scene
+from renderer.film import GeometryImages, Tile, trace_centres
+from renderer.geometry.bvh import STACK_SIZE
+from renderer.jit import warm
+from renderer.plan import needs_photons, skipped
+from renderer.rng import root
+from renderer.terms.variant import Chain, Stored, Variant
+from scenes.model import Scene
+
+TILE = 32
+
+Progress = Callable[[int, int], None]
+
+
+class Cancelled(Exception):
+    """The caller asked the run to stop."""
+
+
+def powers_of_two(samples: int) -> tuple[int, ...]:
+    """1, 2, 4, ... below `samples`, then `samples`."""
+    return (*(2**i for i in range((samples - 1).bit_length())), samples)
+
+
+class Engine:
+    """A scene made ready for kernels, and the threads that run them.
+
+    Parameters
+    ----------
+    scene : the scene.
+    threads : number of threads; None: one a core.
+    """
+
+    def __init__(self, scene: Scene, *, threads: int | None = None) -> None:
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads = {threads}: allowed is at least 1")
+        self.scene = scene
+        self.arrays: SceneArrays = from_scene(scene)
+        self.pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
+        width, height = scene.resolution
+        self.compile_seconds = 0.0
+        self.tiles = [
+            Tile(x, y, min(x + TILE, width), min(y + TILE, height))
+            for y in range(0, height, TILE)
+            for x in range(0, width, TILE)
+        ]
+
+    def __enter__(self) -> "Engine":
+        """Return the engine; its threads end with the block."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Let running tiles finish and drop the rest."""
+        self.pool.shutdown(cancel_futures=True)
+
+    def prefixes(
+        self,
+        variant: Variant,
+        *,
+        samples: int,
+        seed: int,
+        replicate: int,
+        chain: Chain = "next-event",
+        progress: Progress | None = None,
+        cancel: threading.Event | None = None,
+    ) -> Iterator[tuple[int, np.ndarray, float]]:
+        """Yield (N, image, seconds) for N = 1, 2, 4, ..., samples of one replicate.
+
+        `image` is the mean of the first N samples, (H, W, 3) float64; `seconds` the time since the start,
+        compilation excluded. `progress` is called with (samples done, samples).
+        """
+        if samples < 1:
+            raise ValueError(f"samples = {samples}: allowed is at least 1")
+        width, height = self.scene.resolution
+        out = np.zeros((height, width, 3))
+        if skipped(self.scene, variant.term) is not None:
+            yield from ((count, out.copy(), 0.0) for count in powers_of_two(samples))
+            return
+        key = root(seed, replicate)
+        stored = needs_photons(self.scene, variant, chain)
+        photons = photon_map.empty()
+        seconds = 0.0
+        done = 0
+        self._warm(variant, chain, stored, key, out)
+        for count in powers_of_two(samples):
+            start = time.perf_counter()
+            # A photon map serves one sample: each pass has its own radius.
+            for first in range(done, count) if stored else (done,):
+                if stored:
+                    photons = self._photons(stored, key, first, count=self.scene.photons.count)
+                last = first + 1 if stored else count
+                inputs = variant.inputs(self.scene, chain, photons)
+                self._run(variant, inputs, key, first, last, out, cancel)
+                if progress:
+                    progress(last, samples)
+            done = count
+            seconds += time.perf_counter() - start
+            yield count, out / count, seconds
+
+    def geometry(self) -> GeometryImages:
+        """Depth, normal, object and face along the rays through the pixels' centres."""
+        width, height = self.scene.resolution
+        shape = (height, width)
+        images = GeometryImages(
+            np.full(shape, np.inf), np.zeros((*shape, 3)), np.full(shape, -1), np.full(shape, -1)
+        )
+
+        def draw(tile: Tile) -> None:
+            trace_centres(self.arrays, tile, np.empty(STACK_SIZE, np.int32), images)
+
+        for _ in self.pool.map(draw, self.tiles):
+            pass
+        return images
+
+    def _run(
+        self,
+        variant: Variant,
+        inputs: tuple,
+        key: np.uint64,
+        first: int,
+        last: int,
+        out: np.ndarray,
+        cancel: threading.Event | None,
+    ) -> None:
+        def draw(tile: Tile) -> None:
+            if cancel is not None and cancel.is_set():
+                raise Cancelled
+            variant.driver(self.arrays, *inputs, key, first, last, tile, out)
+
+        for _ in self.pool.map(draw, self.tiles):
+            pass
+
+    def _warm(
+        self, variant: Variant, chain: Chain, stored: Stored | None, key: np.uint64, out: np.ndarray
+    ) -> None:
+        """Compile before the clock starts."""
+        start = time.perf_counter()
+        photons = self._photons(stored, key, 0, count=1) if stored else photon_map.empty()
+        inputs = variant.inputs(self.scene, chain, photons)
+        warm(variant.driver, self.arrays, *inputs, key, 0, 1, self.tiles[0], out)
+        self.compile_seconds += time.perf_counter() - start
+
+    def _photons(self, stored: Stored, key: np.uint64, index: int, *, count: int) -> photon_map.PhotonMap:
+        """The map of pass `index`."""
+        return photon_map.emit(
+            self.arrays,
+            key,
+            index,
+            count=count,
+            radius=photon_map.progressive_radius(self.scene.photons.radius, index),
+            first_hits=stored == "all",
+            pool=self.pool,
+        )
