@@ -1,0 +1,135 @@
+"""The same scene through Mitsuba 3: a term's true integral, in independent replicates.
+
+Importing this package is cheap; Mitsuba is imported by the functions that render.
+"""
+
+import functools
+import hashlib
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from scenes.limits import Limit
+from scenes.model import Scene
+from scenes.terms import Term, TermImage
+
+PASSES = 4096  # passes that one replicate may use without sharing random numbers with the next
+_SPLIT: tuple[Term, ...] = ("ambient", "direct", "specular")
+
+
+def render(
+    scene: Scene,
+    limit: Limit,
+    *,
+    spp: int,
+    seed: int,
+    replicates: int = 1,
+    progress: Callable[[], object] | None = None,
+) -> TermImage:
+    """Render a term's integral with Mitsuba.
+
+    Parameters
+    ----------
+    scene, limit : the scene and the integral that is meant.
+    spp : samples per pixel and replicate.
+    seed : equal seeds give equal bits on one backend.
+    replicates : independent repetitions; the variance needs at least two.
+    progress : called after each replicate.
+
+    Raises
+    ------
+    ValueError
+        `spp` or `replicates` below 1.
+    reference.backend.BackendError
+        Mitsuba cannot run here.
+    """
+    if replicates < 1:
+        raise ValueError(f"replicates = {replicates}: allowed is at least 1")
+    compile_kernels(scene, limit)
+    begin = time.perf_counter()
+    images = []
+    for number in range(replicates):
+        images.append(replicate(scene, limit, spp=spp, seed=seed, replicate=number))
+        if progress:
+            progress()
+    return TermImage.from_replicates(np.array(images), samples=spp, seconds=time.perf_counter() - begin)
+
+
+def replicate(scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int = 0) -> np.ndarray:
+    """One independent estimate of a term: (H, W, 3) float32 radiance, weights inside, linear Rec. 709.
+
+    `seed` and `replicate` name the random numbers: equal pairs give equal bits on one backend, and no two
+    replicates of a seed share any. Unbiased but for the path depth (see `reference.terms.direct`).
+    """
+    parts = replicate_parts(scene, shared(scene, limit), spp=spp, seed=seed, replicate=replicate)
+    return scaled(parts[limit.term], limit)
+
+
+def replicate_parts(
+    scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int = 0
+) -> dict[Term, np.ndarray]:
+    """All images that one render of a `shared` limit gives, factor 1: three for physical transport, else one."""
+    if spp < 1:
+        raise ValueError(f"spp = {spp}: allowed is at least 1")
+    here = loaded(scene)
+    from reference.wavefront import pixel_means
+
+    estimate = here.estimator(attrs.asdict(limit))
+    images = pixel_means(estimate, here.description["camera"], spp=spp, seed=rng_seed(limit, seed, replicate))
+    return dict(zip(parts(limit), images.astype(np.float32), strict=True))
+
+
+def scaled(image: np.ndarray, limit: Limit) -> np.ndarray:
+    """Apply the limit's constant factor, in float32."""
+    return image if limit.factor == 1.0 else image * np.float32(limit.factor)
+
+
+def compile_kernels(scene: Scene, limit: Limit) -> None:
+    """Render a throw-away sample, so that compilation is not counted as rendering."""
+    served = shared(scene, limit)
+    compiled = loaded(scene).compiled
+    if served not in compiled:
+        replicate_parts(scene, served, spp=1, seed=0)
+        compiled.add(served)
+
+
+def parts(limit: Limit) -> tuple[Term, ...]:
+    """Terms that one render of a limit yields, in the estimator's order."""
+    return _SPLIT if limit.transport == "physical" and limit.term in _SPLIT else (limit.term,)
+
+
+def shared(scene: Scene, limit: Limit) -> Limit:
+    """The limit whose render serves this one: all that does not change the render is put at its default."""
+    term = parts(limit)[0]
+    if term == "background":
+        return Limit(term)
+    if limit.transport == "physical":
+        return Limit(term, transport="physical")
+    return Limit(
+        term,
+        scope=limit.scope or scene.scope if term in ("direct", "specular") else None,
+        lobe=limit.lobe if term == "specular" else 1.0,
+    )
+
+
+def rng_seed(limit: Limit, seed: int, replicate: int) -> int:
+    """32-bit seed of a replicate's first pass; the passes of one seed's replicates never coincide."""
+    digest = hashlib.sha256(repr((seed, attrs.astuple(limit))).encode()).digest()
+    return (int.from_bytes(digest[:4], "little") + replicate * PASSES) % 2**32
+
+
+@functools.lru_cache(maxsize=1)
+def loaded(scene: Scene) -> Any:
+    """Load a scene into Mitsuba: a `prepare.Loaded`, kept until another scene is asked for."""
+    from reference.backend import import_mitsuba
+
+    import_mitsuba()  # before the modules that subclass Mitsuba's plugins
+    from reference import prepare, translate
+
+    with tempfile.TemporaryDirectory() as folder:
+        return prepare.Loaded(translate.describe(scene, Path(folder)), Path(folder))

@@ -1,0 +1,77 @@
+"""Cook-Torrance: `f = k F(wi·wh) D(wh) G1(wi) G1(wo) / (4 mu_i mu_o)`.
+
+D is the normalised Beckmann distribution, `F = F0 + (1 - F0)(1 - wi·wh)^5` Schlick's, and G1 the exact Smith term
+`2 / (1 + erf(a) + exp(-a²) / (a √π))`, `a = 1 / (α tan θ)` (Walter et al., EGSR 2007). Mitsuba's `roughconductor` has neither
+Schlick's F nor the exact G1: its rational approximation is up to 0.3 % off.
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+
+def smith_g1(v: Any, alpha: Any) -> Any:
+    """Masking of the Beckmann distribution in the local direction `v`."""
+    a = dr.rcp(alpha * mi.Frame3f.tan_theta(v))
+    masked = 2.0 / (1.0 + dr.erf(a) + dr.exp(-a * a) / (a * dr.sqrt(dr.pi)))
+    return dr.select(a < 10.0, masked, 1.0)  # exp and 1/a leave float32 there, where 1 - G1 < 1e-44
+
+
+class CookTorrance(mi.BSDF):
+    """One lobe; sampled by visible normals (Heitz and d'Eon, EGSR 2014), which leaves the weight `k F G1(wo)`."""
+
+    def __init__(self, props: Any) -> None:
+        """Read `alpha`, `f0` (three numbers) and the factor k (`factor`), which may exceed 1."""
+        mi.BSDF.__init__(self, props)
+        # Opaque, so that one compiled kernel serves all materials and scenes.
+        self._alpha = dr.opaque(mi.Float, props["alpha"])
+        self._f0 = dr.opaque(mi.Color3f, list(props["f0"]))
+        self._factor = dr.opaque(mi.Float, props["factor"])
+        self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
+        self.m_flags = self.m_components[0]
+
+    def _distribution(self) -> Any:
+        return mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, self._alpha, True)
+
+    def _fresnel(self, cosine: Any) -> Any:
+        return self._f0 + (1.0 - self._f0) * dr.power(dr.maximum(1.0 - cosine, 0.0), 5)
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+        """Reflect about a visible normal; the weight is `f mu_o / pdf`."""
+        wh, _ = self._distribution().sample(si.wi, sample2)
+        bs = mi.BSDFSample3f()
+        bs.wo = mi.reflect(si.wi, wh)
+        bs.eta = 1.0
+        bs.sampled_type = mi.UInt32(+self.m_components[0])
+        bs.sampled_component = 0
+        bs.pdf = self.pdf(ctx, si, bs.wo, active)
+        active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (mi.Frame3f.cos_theta(bs.wo) > 0.0) & (bs.pdf > 0.0)
+        weight = self._factor * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(bs.wo, self._alpha)
+        return bs, dr.select(active, weight, 0.0)
+
+    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """`f mu_o`, mi.Color3f."""
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """`D G1(wi) / (4 mu_i)`, per solid angle."""
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """Value and density together: they differ by the weight of `sample`."""
+        mu_i, mu_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
+        active = active & (mu_i > 0.0) & (mu_o > 0.0)
+        wh = dr.normalize(si.wi + wo)
+        pdf = self._distribution().eval(wh) * smith_g1(si.wi, self._alpha) / (4.0 * mu_i)
+        value = self._factor * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(wo, self._alpha) * pdf
+        return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
+
+    def to_string(self) -> str:
+        """Name the plugin with its parameters."""
+        return f"CookTorrance[alpha={self._alpha}, f0={self._f0}, factor={self._factor}]"
+
+
+def register() -> None:
+    """Make `cook_torrance` known to Mitsuba."""
+    mi.register_bsdf("cook_torrance", CookTorrance)

@@ -1,0 +1,62 @@
+"""From a description (see `translate`) to estimators: the step that a stand-alone export shares."""
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+
+from . import bsdf, physical, sky
+from .terms import ambient, background, direct, specular
+from .wavefront import Estimator
+
+_ESTIMATORS = {
+    "ambient": ambient.estimator,
+    "direct": direct.estimator,
+    "specular": specular.estimator,
+    "background": background.estimator,
+}
+
+
+class Loaded:
+    """A description loaded into Mitsuba.
+
+    Attributes
+    ----------
+    description : as `translate.describe` gives it, with `depths` added as they are found.
+    scenes : the Mitsuba scene of each role.
+    compiled : limits whose kernels were compiled.
+    sky : (ray, active) -> mi.Color3f, what a ray that misses all geometry sees.
+    """
+
+    def __init__(self, description: dict[str, Any], folder: Path) -> None:
+        """Load the scenes of all roles, from a description whose files lie in `folder`.
+
+        All at once, because Mitsuba compiles into every kernel all materials that exist: a scene that is
+        loaded later would have the kernels of the earlier ones compiled again.
+        """
+        bsdf.register()
+        sky.register()
+        located = _with_paths(description, folder)
+        self.description = description
+        self.compiled: set[Any] = set()
+        self.sky = sky.radiance(located["sky"])
+        # optimize=False: Mitsuba would merge meshes of equal materials, and face numbers would be lost.
+        self.scenes = {
+            role: mi.load_dict(scene, parallel=False, optimize=False)
+            for role, scene in located["scenes"].items()
+        }
+
+    def estimator(self, limit: dict[str, Any]) -> Estimator:
+        """Return the estimator of a limit, given as its fields; the constant factor is left out."""
+        if limit["transport"] == "physical" and limit["term"] != "background":
+            return physical.estimator(self, limit)
+        return _ESTIMATORS[limit["term"]](self, limit)
+
+
+def _with_paths(value: Any, folder: Path) -> Any:
+    if isinstance(value, dict):
+        return {
+            key: str(folder / item) if key in ("filename", "texture") and item else _with_paths(item, folder)
+            for key, item in value.items()
+        }
+    return value

@@ -1,0 +1,132 @@
+"""Replicates on disk, named by the sha256 of all that they depend on, so that nothing is rendered twice.
+
+One float32 NPY file per replicate and term, beside it a JSON file with the seconds and the NPY's digest. Both appear
+whole or not at all; a file that is missing, cut short or altered is rendered again.
+"""
+
+import hashlib
+import importlib.metadata
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import attrs
+import numpy as np
+
+import reference
+from reference import backend
+from scenes.limits import Limit
+from scenes.model import Scene
+from scenes.store import PROJECT, sources_digest, write_atomically
+from scenes.terms import Term
+
+_ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope")
+_IRRELEVANT: dict[Term, tuple[str, ...]] = {
+    "ambient": ("lights", "sky", "max_bounces", "draw_lights"),
+    "direct": ("ambient", "sky", "max_bounces", "draw_lights"),
+    "specular": ("draw_lights",),
+    "background": ("ambient", "lights", "max_bounces"),
+}
+
+
+class Replicates(NamedTuple):
+    """Independent images of one term.
+
+    Attributes
+    ----------
+    images : (R, H, W, 3) float32
+    seconds : (R,) float64, wall-clock per replicate when it was rendered, compilation apart; the terms of
+        physical transport, which one render gives, share its seconds equally.
+    shortfall : why there are fewer replicates or samples than asked for, in one sentence; None if not.
+    spp : samples per pixel and replicate.
+    """
+
+    images: np.ndarray
+    seconds: np.ndarray
+    spp: int
+    shortfall: str | None = None
+
+
+def replicates(
+    scene: Scene,
+    limit: Limit,
+    *,
+    spp: int,
+    seed: int,
+    count: int,
+    folder: Path,
+    progress: Callable[[], object] | None = None,
+) -> Replicates:
+    """Take `count` replicates from `folder`; render and keep those that it lacks.
+
+    Parameters
+    ----------
+    scene, limit, spp, seed : as in `reference.replicate`.
+    count : number of replicates.
+    folder : folder of the cache; made if missing.
+    progress : called after each replicate.
+    """
+    served = reference.shared(scene, limit)
+    keys = {term: key(scene, attrs.evolve(served, term=term), spp=spp, seed=seed) for term in reference.parts(served)}
+    images, seconds = [], []
+    for number in range(count):
+        path = _path(folder, keys[limit.term], number)
+        kept = _read(path, scene.resolution)
+        if kept is None:
+            _render(scene, served, spp, seed, number, {term: _path(folder, keys[term], number) for term in keys})
+            kept = _read(path, scene.resolution)
+            assert kept is not None, path
+        images.append(reference.scaled(kept[0], limit))
+        seconds.append(kept[1])
+        if progress:
+            progress()
+    return Replicates(np.array(images), np.array(seconds), spp)
+
+
+def key(scene: Scene, limit: Limit, *, spp: int, seed: int) -> str:
+    """sha256 of all that decides a replicate's bits but its number."""
+    if limit.transport == "physical":
+        irrelevant = ("ambient", "max_bounces", "draw_lights")
+    else:
+        irrelevant = _IRRELEVANT[limit.term]
+    # `choose` does not import Mitsuba: a run that finds all replicates here never loads it.
+    variant = (backend.active() if "mitsuba" in sys.modules else backend.choose()).variant
+    versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit")]
+    sources = sources_digest(PROJECT / "reference", PROJECT / "scenes")
+    content = scene.digest(without=_ALWAYS_IRRELEVANT + irrelevant)
+    settings = repr((content, attrs.astuple(limit), spp, seed, variant, versions, sources))
+    return hashlib.sha256(settings.encode()).hexdigest()
+
+
+def _render(scene: Scene, limit: Limit, spp: int, seed: int, number: int, paths: dict[Term, Path]) -> None:
+    reference.compile_kernels(scene, limit)
+    begin = time.perf_counter()
+    images = reference.replicate_parts(scene, limit, spp=spp, seed=seed, replicate=number)
+    seconds = (time.perf_counter() - begin) / len(images)
+    for term, path in paths.items():
+        write_atomically(path, lambda temporary, image=images[term]: np.save(temporary, image))
+        record = json.dumps({"seconds": seconds, "sha256": _digest(path)})
+        write_atomically(path.with_suffix(".json"), lambda temporary, text=record: temporary.write_text(text))
+
+
+def _read(path: Path, resolution: tuple[int, int]) -> tuple[np.ndarray, float] | None:
+    """Image and seconds of a kept replicate; None unless both files are whole."""
+    try:
+        record = json.loads(path.with_suffix(".json").read_text())
+        if record["sha256"] != _digest(path):
+            return None
+        image = np.load(path)
+    except (OSError, ValueError, KeyError):
+        return None
+    return (image, record["seconds"]) if image.shape == (*resolution[::-1], 3) else None
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _path(folder: Path, name: str, number: int) -> Path:
+    return folder / name[:2] / f"{name}-{number:04d}.npy"

@@ -1,0 +1,28 @@
+"""Background: what a camera ray sees without shading: the sky on a miss, and the emission of a light's front side."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ..wavefront import Estimator, Samples, shape_pointer
+
+
+def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
+    """Samples -> (background term,); its only variance is that of the positions in the pixel."""
+    scene = loaded.scenes["diffuse"]
+    lights = [
+        (shape_pointer(shape), dr.opaque(mi.Color3f, emission))
+        for shape, emission in zip(scene.shapes(), loaded.description["emission"], strict=True)
+        if any(emission)
+    ]
+
+    def estimate(samples: Samples) -> tuple[Any]:
+        si = scene.ray_intersect(samples.ray)
+        color = loaded.sky(samples.ray, si.t == dr.inf)
+        front = si.is_valid() & (dr.dot(si.n, samples.ray.d) < 0.0)
+        for shape, emission in lights:
+            color += dr.select(front & (si.shape == shape), emission, 0.0)
+        return (color,)
+
+    return estimate

@@ -1,0 +1,213 @@
+"""Scene -> Mitsuba: one function per class of the scene model, all lengths at one canonical scale.
+
+Mitsuba's float32 ray offset is `(1 + max |p|) * 8.9e-5`, an absolute length: ambient occlusion is 9 % off in a
+scene of size 1e-3 or 1e3 away from the origin. So every scene is centred and scaled by a power of two to a
+bounding box of 50 to 100 units. Radiance does not change under scaling; the intensity of a point light scales
+with the square of the scale.
+
+`describe` returns plain numbers, strings and lists only, with meshes and textures as files beside it: what is rendered here
+is what `reference.export` writes out.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import attrs
+import numpy as np
+
+from scenes.model import Material, Mesh, Object, PointLight, Scene
+
+Role = Literal["diffuse", "ambient", "direct", "specular", "physical-lights", "physical-sky", "physical"]
+
+SIZE = 100.0  # the largest side of the canonical bounding box is in (SIZE / 2, SIZE]
+UNBOUNDED = 1e30  # stands for an infinite range, which JSON does not have
+BLACK_BSDF = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}}
+
+
+@attrs.frozen
+class Canonical:
+    """The similarity `p -> (p - centre) * scale` to the canonical scale."""
+
+    centre: np.ndarray
+    scale: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Canonical":
+        """Centre the bounding box; scale it by the power of two that brings its largest side into (50, 100]."""
+        low, high = scene.bounds()
+        extent = float(np.max(high - low))
+        return cls((low + high) / 2.0, 2.0 ** math.floor(math.log2(SIZE / extent)) if extent > 0 else 1.0)
+
+    def points(self, points: Any) -> np.ndarray:
+        """Move points (..., 3) to the canonical scale, float64."""
+        return (np.asarray(points, np.float64) - self.centre) * self.scale
+
+
+def describe(scene: Scene, folder: Path) -> dict[str, Any]:
+    """Everything that the references of a scene are rendered from, at the canonical scale.
+
+    Parameters
+    ----------
+    scene : the scene.
+    folder : existing folder that receives the meshes (PLY) and the sky's texture (NPY).
+
+    Returns
+    -------
+    A value that JSON can hold: the camera, the settings of the integrators, and under `scenes` one Mitsuba
+    dictionary per role. File names in it are relative to `folder`.
+    """
+    canonical = Canonical.of(scene)
+    for number, thing in enumerate(scene.objects):
+        write_ply(folder / _mesh_file(number), thing.mesh, canonical)
+    if scene.sky.texture is not None:
+        np.save(folder / "sky.npy", scene.sky.texture)
+    return {
+        "camera": _camera(scene, canonical),
+        "ambient": {
+            "color": list(scene.ambient.color),
+            "range": min(scene.occlusion_range * canonical.scale, UNBOUNDED),
+        },
+        "sky": _sky(scene, canonical),
+        "max_bounces": scene.max_bounces if scene.toggles.reflections else 0,
+        "has_lights": scene.has_lights,
+        "emission": [list(thing.emission) if scene.draw_lights else [0.0] * 3 for thing in scene.objects],
+        "scenes": {role: _scene(scene, role, canonical) for role in get_args(Role)},
+    }
+
+
+def _scene(scene: Scene, role: Role, canonical: Canonical) -> dict[str, Any]:
+    """The same shapes in every role; lights only where the role has them."""
+    lit = role in ("direct", "physical-lights", "physical") and scene.has_lights
+    described: dict[str, Any] = {"type": "scene", "embree_use_robust_intersections": True}
+    for number, thing in enumerate(scene.objects):
+        described[f"object{number}"] = _object(scene, thing, number, role, lit)
+    if lit:
+        for number, light in enumerate(scene.lights):
+            described[f"light{number}"] = _point_light(light, canonical)
+    if role == "ambient" and math.isinf(scene.occlusion_range):
+        described["sky"] = {"type": "constant", "radiance": _rgb(scene.ambient.color)}
+    if role in ("physical-sky", "physical") and not scene.sky.is_black:
+        described["sky"] = _sky_emitter(scene, canonical)
+    return described
+
+
+def _object(scene: Scene, thing: Object, number: int, role: Role, lit: bool) -> dict[str, Any]:
+    # An emitter is flat: Mitsuba would put interpolated normals into the area measure of light sampling.
+    flat = thing.mesh.normals is None or thing.emits
+    described: dict[str, Any] = {
+        "type": "ply",
+        "filename": _mesh_file(number),
+        "face_normals": flat,
+        "bsdf": {"type": "twosided", "bsdf": _bsdf(scene, thing.surface, role)},
+    }
+    if lit and thing.emits:
+        described["emitter"] = {"type": "area", "radiance": _rgb(thing.emission)}
+    return described
+
+
+def _bsdf(scene: Scene, material: Material, role: Role) -> dict[str, Any]:
+    """The lobe or lobes of a role, their weights inside; black where the weight is 0."""
+    gloss = scene.specular_weight(material)
+    lobe = {
+        "type": "cook_torrance",
+        "alpha": material.roughness,
+        "f0": list(material.f0),
+        "factor": gloss,
+    }
+    if role == "specular":
+        return lobe if gloss > 0 else BLACK_BSDF
+    if role in ("diffuse", "ambient", "direct") or gloss == 0:
+        return {"type": "diffuse", "reflectance": _rgb(scene.diffuse_weight(material))}
+    diffuse = {"type": "diffuse", "reflectance": _rgb(material.color)}
+    return {"type": "blendbsdf", "weight": gloss, "first": diffuse, "second": lobe | {"factor": 1.0}}
+
+
+def _point_light(light: PointLight, canonical: Canonical) -> dict[str, Any]:
+    return {
+        "type": "point",
+        "position": canonical.points(light.position).tolist(),
+        "intensity": _rgb([component * canonical.scale**2 for component in light.intensity]),
+    }
+
+
+def _sky(scene: Scene, canonical: Canonical) -> dict[str, Any]:
+    return {
+        "color": list(scene.sky.color),
+        "texture": "sky.npy" if scene.sky.texture is not None else None,
+        "center": canonical.points(scene.sky.center).tolist(),
+        "radius": scene.sky.radius * canonical.scale,
+    }
+
+
+def _sky_emitter(scene: Scene, canonical: Canonical) -> dict[str, Any]:
+    """The sky as a light: `constant`, or the paper's sphere itself, so that parallax and filter are its own.
+
+    Where the sphere does not enclose the camera and all geometry it cannot be a shape without hiding them;
+    the texture is then looked up by direction, from a sphere a thousand times as large as the scene.
+    """
+    if scene.sky.texture is None:
+        return {"type": "constant", "radiance": _rgb(scene.sky.color)}
+    low, high = scene.bounds()
+    corners = np.array(
+        [[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i, j, k in np.ndindex(2, 2, 2)]
+    )
+    inside = np.vstack([corners, scene.camera.position])
+    center, radius = canonical.points(scene.sky.center), scene.sky.radius * canonical.scale
+    if np.linalg.norm(canonical.points(inside) - center, axis=1).max() >= radius:
+        center, radius = np.zeros(3), 1000.0 * SIZE
+    return {
+        "type": "sphere",
+        "center": center.tolist(),
+        "radius": radius,
+        "flip_normals": True,
+        "bsdf": BLACK_BSDF,
+        "emitter": {
+            "type": "area",
+            "radiance": {"type": "paper_sky", "texture": "sky.npy", "center": center.tolist()},
+        },
+    }
+
+
+def _camera(scene: Scene, canonical: Canonical) -> dict[str, Any]:
+    """The paper's near plane as `corner + x * across + y * down`, x and y in [0, 1], at unit distance."""
+    right, up, forward = scene.camera.frame()
+    half = math.tan(math.radians(scene.camera.fov) / 2.0)
+    return {
+        "origin": canonical.points(scene.camera.position).tolist(),
+        "corner": (forward - half * right + half / scene.aspect * up).tolist(),
+        "across": (2.0 * half * right).tolist(),
+        "down": (-2.0 * half / scene.aspect * up).tolist(),
+        "pixel": scene.camera.pixel,
+        "resolution": list(scene.resolution),
+    }
+
+
+def _rgb(color: Any) -> dict[str, Any]:
+    return {"type": "rgb", "value": [float(component) for component in color]}
+
+
+def _mesh_file(number: int) -> str:
+    return f"object{number}.ply"
+
+
+def write_ply(path: Path, mesh: Mesh, canonical: Canonical) -> None:
+    """Write binary PLY, little-endian float32, vertices in their order and none merged."""
+    columns = [canonical.points(mesh.vertices)]
+    names = ["x", "y", "z"]
+    if mesh.normals is not None:
+        columns.append(mesh.normals)
+        names += ["nx", "ny", "nz"]
+    faces = np.empty(len(mesh.faces), np.dtype([("count", "u1"), ("indices", "<i4", 3)]))
+    faces["count"], faces["indices"] = 3, mesh.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(mesh.vertices)}",
+        *(f"property float {name}" for name in names),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    vertices = np.ascontiguousarray(np.hstack(columns), "<f4")
+    path.write_bytes("\n".join(header).encode() + b"\n" + vertices.tobytes() + faces.tobytes())

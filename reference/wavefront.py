@@ -1,0 +1,117 @@
+"""Pixel means over camera rays: `(1/N) Σ estimate(ray_k)`, the rays made from the paper's own formula.
+
+No film, filter or sensor of Mitsuba takes part, so that no pixel-position difference can pass for a bias. Inside a
+pixel the rays lie on a randomly shifted lattice: every ray is uniform in the pixel, hence no bias, and edges and
+textures have less variance than under independent positions.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+WIDTH = 2**20  # rays of one pass: bounds memory
+GOLDEN = 0.6180339887498949
+
+
+class Samples(NamedTuple):
+    """One camera ray per lane.
+
+    Attributes
+    ----------
+    ray : mi.Ray3f at the canonical scale.
+    sampler : mi.Sampler, seeded for the lanes.
+    number : mi.UInt32; counts through a pixel's samples from a random start, so that `number % m` is uniform.
+    """
+
+    ray: Any
+    sampler: Any
+    number: Any
+
+
+Estimator = Callable[[Samples], tuple[Any, ...]]
+
+
+def pixel_means(estimate: Estimator, camera: dict[str, Any], *, spp: int, seed: int) -> np.ndarray:
+    """Mean of each image that `estimate` returns, over `spp` rays a pixel.
+
+    Parameters
+    ----------
+    estimate : Samples -> tuple of P mi.Color3f
+    camera : as `translate.describe` gives it.
+    spp : samples per pixel.
+    seed : 32-bit seed; pass i of a call uses `seed + i`.
+
+    Returns
+    -------
+    (P, H, W, 3) float64; passes are added in float64.
+    """
+    width, height = camera["resolution"]
+    per_pass = min(spp, max(1, WIDTH // (width * height)))
+    total = np.zeros(())
+    for number, first in enumerate(range(0, spp, per_pass)):
+        total = total + _pass_sums(estimate, camera, min(per_pass, spp - first), (seed + number) % 2**32)
+    return total.reshape(-1, height, width, 3) / spp
+
+
+def _pass_sums(estimate: Estimator, camera: dict[str, Any], count: int, seed: int) -> np.ndarray:
+    """Sums over `count` samples a pixel, (P, pixels, 3) float64."""
+    width, height = camera["resolution"]
+    lanes = width * height * count
+    opaque_seed, opaque_count = dr.opaque(mi.UInt32, seed), dr.opaque(mi.UInt32, count)
+    lane = dr.arange(mi.UInt32, lanes)
+    pixel = lane // opaque_count
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(opaque_seed, lanes)
+    samples = camera_samples(camera, pixel, lane - pixel * opaque_count, opaque_count, opaque_seed, sampler)
+    images = estimate(samples)
+    planes = [channel + dr.zeros(mi.Float, lanes) for image in images for channel in image]  # constants too
+    dr.eval(planes)  # apart from the sums, whose kernel differs with `count`
+    sums = [dr.block_sum(plane, count) for plane in planes]
+    totals = np.array([np.array(total) for total in sums], np.float64)
+    return totals.reshape(len(images), 3, width * height).transpose(0, 2, 1)
+
+
+def camera_samples(
+    camera: dict[str, Any], pixel: Any, index: Any, count: Any, seed: Any, sampler: Any
+) -> Samples:
+    """Ray `index` of `count` through each pixel (numbered row by row)."""
+    width, height = camera["resolution"]
+    row = pixel // dr.opaque(mi.UInt32, width)
+    column = pixel - row * dr.opaque(mi.UInt32, width)
+    start, shift_x = mi.sample_tea_32(pixel, seed)
+    if camera["pixel"] == "jitter":
+        shift_y, _ = mi.sample_tea_32(shift_x, seed)
+        x = _fraction(mi.Float(index) / mi.Float(count) + _unit(shift_x))
+        y = _fraction(mi.Float(index) * GOLDEN + _unit(shift_y))
+    else:
+        x = y = mi.Float(0.5 if camera["pixel"] == "centre" else 0.0)
+    x = (mi.Float(column) + x) / dr.opaque(mi.Float, width)
+    y = (mi.Float(row) + y) / dr.opaque(mi.Float, height)
+    corner, across, down = (dr.opaque(mi.Vector3f, camera[axis]) for axis in ("corner", "across", "down"))
+    direction = dr.normalize(corner + x * across + y * down)
+    origin = dr.opaque(mi.Point3f, camera["origin"])
+    return Samples(mi.Ray3f(origin, direction), sampler, (start >> 16) + index)
+
+
+def _unit(bits: Any) -> Any:
+    """Map 32 random bits to [0, 1): the upper 24 are what a float32 holds."""
+    return mi.Float(bits >> 8) * 2.0**-24
+
+
+def _fraction(x: Any) -> Any:
+    return x - dr.floor(x)
+
+
+def meets_surface(si: Any) -> Any:
+    """Lanes that hit something other than the surface of a light."""
+    if dr.is_jit_v(mi.Float):
+        return si.is_valid() & ~si.shape.is_emitter()
+    return si.is_valid() and not si.shape.is_emitter()  # one ray, whose shape is None on a miss
+
+
+def shape_pointer(shape: Any) -> Any:
+    """What `si.shape` is to be compared with."""
+    return mi.ShapePtr(shape) if dr.is_jit_v(mi.Float) else shape

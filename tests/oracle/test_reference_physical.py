@@ -1,0 +1,59 @@
+"""Full light transport split by term: the parts add up, and each is what its name says."""
+
+import attrs
+import numpy as np
+import pytest
+import trimesh
+
+import reference
+from scenes.limits import physical
+from scenes.model import Camera, Material, Mesh, Object, PointLight, Scene, Sky
+
+GLOSSY = Material(color=(0.8, 0.6, 0.3), gloss=0.5, roughness=0.3, f0=(1.0, 0.8, 0.5))
+TEXTURE = np.random.default_rng(0).random((8, 16, 3)).astype(np.float32)
+
+
+def rectangle(name: str, height: float, half: float, material: Material = GLOSSY, *, down: bool = False) -> Object:
+    corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) + [0, 0, height]
+    return Object(name, Mesh.from_arrays(corners, [[0, 2, 1], [0, 3, 2]] if down else [[0, 1, 2], [0, 2, 3]]), material)
+
+
+def lit_scene(sky: Sky) -> Scene:
+    box = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
+    lamp = attrs.evolve(rectangle("lamp", 2.0, 0.3, down=True), emission=(9.0, 8.0, 7.0))
+    cube = Object("cube", Mesh.from_arrays(box.vertices + [0, 0, 0.5], box.faces), GLOSSY)
+    return Scene(
+        "lit",
+        Camera(position=(3.0, 2.0, 2.0), target=(0.0, 0.0, 0.6)),
+        (rectangle("ground", 0.0, 2.0), cube, lamp),
+        lights=(PointLight((1.0, 1.0, 1.5), (3.0, 3.0, 3.0)),),
+        sky=sky,
+        resolution=(32, 32),
+    )
+
+
+@pytest.mark.parametrize("sky", [Sky((0.2, 0.4, 0.8)), Sky(texture=TEXTURE, radius=6.0)], ids=["constant", "texture"])
+def test_parts_add_up_to_plain_path(sky):
+    """ambient + direct + specular = Mitsuba's `path` in the same scene, within the noise of 8 batches each."""
+    scene = lit_scene(sky)
+    count, spp = 8, 256
+    limit = reference.shared(scene, physical("ambient"))
+    parts = [reference.replicate_parts(scene, limit, spp=spp, seed=1, replicate=k) for k in range(count)]
+    sums = np.array([sum(part.values()).mean(axis=(0, 1), dtype=float) for part in parts])
+
+    from reference.terms import direct
+    from reference.wavefront import pixel_means
+
+    here = reference.loaded(scene)
+    plain = direct.reflected(here.scenes["physical"], here.description["depths"]["physical"])
+
+    def estimate(samples):
+        return (plain(samples.ray, samples.sampler, True),)
+
+    camera = here.description["camera"]
+    whole = np.array([pixel_means(estimate, camera, spp=spp, seed=10**6 + k)[0].mean(axis=(0, 1)) for k in range(count)])
+    error = np.sqrt((sums.var(axis=0, ddof=1) + whole.var(axis=0, ddof=1)) / count)
+    assert (np.abs(sums.mean(axis=0) - whole.mean(axis=0)) < 5 * error).all()
+    assert (error < 3e-3 * whole.mean(axis=0)).all()
+    for image in parts[0].values():
+        assert image.mean() > 0.02 * whole.mean()

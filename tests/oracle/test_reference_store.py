@@ -1,0 +1,116 @@
+"""The cache of replicates: nothing rendered twice, nothing wrong ever served."""
+
+import attrs
+import numpy as np
+import pytest
+
+import reference
+from reference import store
+from scenes.limits import Limit, correct, physical
+from scenes.model import Ambient, Camera, Mesh, Object, PointLight, Scene, Sky
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    corners = [[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]]
+    ground = Object("ground", Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3]]))
+    return Scene(
+        "ground",
+        Camera(position=(2.0, 2.0, 2.0), target=(0.0, 0.0, 0.0)),
+        (ground,),
+        lights=(PointLight((0.0, 0.0, 1.0), (1.0, 1.0, 1.0)),),
+        ambient=Ambient((1.0, 1.0, 1.0)),
+        sky=Sky((0.1, 0.2, 0.3)),
+        resolution=(8, 6),
+    )
+
+
+@pytest.fixture
+def renders(monkeypatch) -> list[int]:
+    """Replicate numbers in the order in which they are rendered."""
+    rendered: list[int] = []
+    original = reference.replicate_parts
+
+    def counted(*arguments, replicate: int = 0, **options):
+        rendered.append(replicate)
+        return original(*arguments, replicate=replicate, **options)
+
+    monkeypatch.setattr(reference, "compile_kernels", lambda *_: None)
+    monkeypatch.setattr(reference, "replicate_parts", counted)
+    return rendered
+
+
+def test_replicates_are_rendered_once(scene, renders, tmp_path):
+    ticks = []
+    first = store.replicates(
+        scene, correct("direct", "all"), spp=2, seed=1, count=2, folder=tmp_path, progress=lambda: ticks.append(1)
+    )
+    assert (renders, len(ticks)) == ([0, 1], 2)
+    more = store.replicates(scene, correct("direct", "all"), spp=2, seed=1, count=3, folder=tmp_path)
+    assert renders == [0, 1, 2]
+    np.testing.assert_array_equal(more.images[:2], first.images)
+    assert first.images.dtype == np.float32
+    assert first.images.shape == (2, 6, 8, 3)
+    assert (more.seconds[:2] == first.seconds).all()
+    assert (more.images[0] != more.images[1]).any()
+    np.testing.assert_array_equal(more.images[2], reference.replicate(scene, correct("direct", "all"), spp=2, seed=1, replicate=2))
+
+
+def test_constant_factors_and_irrelevant_fields_share_replicates(scene, renders, tmp_path):
+    plain = store.replicates(scene, correct("ambient", "all"), spp=2, seed=1, count=1, folder=tmp_path)
+    other = attrs.evolve(scene, name="other", lights=(), sky=Sky(), max_bounces=0, scope="first-hit", exposure=9.0)
+    paper = store.replicates(other, Limit("ambient", factor=np.pi), spp=2, seed=1, count=1, folder=tmp_path)
+    assert renders == [0]
+    np.testing.assert_allclose(paper.images, np.pi * plain.images, rtol=1e-6)
+
+
+def test_physical_parts_come_from_one_render(scene, renders, tmp_path):
+    for term in ("ambient", "direct", "specular"):
+        store.replicates(scene, physical(term), spp=2, seed=1, count=2, folder=tmp_path)
+    assert renders == [0, 1]
+
+
+@pytest.mark.parametrize("change", ["scene", "limit", "spp", "seed", "sources"])
+def test_whatever_matters_changes_the_name(scene, monkeypatch, change):
+    limit = correct("specular", "all")
+    before = store.key(scene, limit, spp=2, seed=1)
+    if change == "scene":
+        after = store.key(attrs.evolve(scene, sky=Sky((0.1, 0.2, 0.31))), limit, spp=2, seed=1)
+    elif change == "limit":
+        after = store.key(scene, attrs.evolve(limit, scope="first-hit"), spp=2, seed=1)
+    elif change == "sources":
+        monkeypatch.setattr(store, "sources_digest", lambda *_: "other")
+        after = store.key(scene, limit, spp=2, seed=1)
+    else:
+        after = store.key(scene, limit, **({"spp": 2, "seed": 1} | {change: 3}))
+    assert after != before
+
+
+@pytest.mark.parametrize("damage", ["cut", "altered", "removed", "record"])
+def test_damaged_files_are_rendered_again(scene, renders, tmp_path, damage):
+    limit = correct("ambient", "all")
+    whole = store.replicates(scene, limit, spp=2, seed=1, count=1, folder=tmp_path)
+    (path,) = tmp_path.rglob("*.npy")
+    content = path.read_bytes()
+    if damage == "cut":
+        path.write_bytes(content[:-7])
+    elif damage == "altered":
+        path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    elif damage == "removed":
+        path.unlink()
+    else:
+        path.with_suffix(".json").write_text("{")
+    again = store.replicates(scene, limit, spp=2, seed=1, count=1, folder=tmp_path)
+    assert renders == [0, 0]
+    np.testing.assert_array_equal(again.images, whole.images)
+    assert path.read_bytes() == content
+
+
+def test_an_interrupted_render_leaves_nothing(scene, monkeypatch, tmp_path):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(reference, "replicate_parts", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        store.replicates(scene, correct("ambient", "all"), spp=2, seed=1, count=1, folder=tmp_path)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
