@@ -1,0 +1,1 @@
+"""Measurements, verdicts and their presentation."""

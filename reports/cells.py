@@ -1,0 +1,116 @@
+"""Cells (scene, term, variant): the replicate images of an estimator, computed once and kept on disk.
+
+A replicate is one file: the float32 means of the first 1, 2, 4, ... N samples, and the seconds that each took. Its name
+is the digest of all that decides its bits, so a run that was interrupted, or one with nothing changed, finds it again.
+"""
+
+import hashlib
+import importlib.metadata
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import attrs
+import numpy as np
+
+from renderer.plan import needs_photons
+from renderer.terms import Chain, Variant
+from renderer.tiles import Engine, powers_of_two
+from scenes.model import Scene
+from scenes.store import PROJECT, sources_digest, write_atomically
+
+# What cannot change a term's image; `scope` changes direct, and specular through it.
+_IRRELEVANT = {
+    "ambient": ("lights", "sky", "photons", "scope", "max_bounces", "draw_lights"),
+    "direct": ("ambient", "sky", "max_bounces", "draw_lights"),
+    "specular": ("draw_lights",),
+    "background": ("ambient", "photons", "scope", "max_bounces"),
+}
+
+
+@attrs.frozen(eq=False)
+class Cell:
+    """Replicates of one variant.
+
+    Attributes
+    ----------
+    samples : (P,) the prefixes 1, 2, 4, ..., N.
+    images : (K, P, H, W, 3) float32.
+    seconds : (K, P) float64, wall-clock up to each prefix, compilation apart.
+    compile_seconds : spent compiling or loading kernels in this run; 0 where all replicates were found.
+    """
+
+    variant: Variant
+    samples: tuple[int, ...]
+    images: np.ndarray
+    seconds: np.ndarray
+    compile_seconds: float
+
+
+def key(scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain) -> str:
+    """sha256 of all that decides a replicate's bits but its number."""
+    content = scene.digest(without=("name", "exposure", *_IRRELEVANT[variant.term]))
+    versions = [importlib.metadata.version(package) for package in ("numba", "numpy")]
+    sources = sources_digest(PROJECT / "renderer", PROJECT / "scenes")
+    used = chain if variant.term == "specular" else ""
+    settings = (content, variant.term, variant.name, samples, seed, used, versions, sources)
+    return hashlib.sha256(repr(settings).encode()).hexdigest()
+
+
+def cell(
+    engine: Engine,
+    variant: Variant,
+    *,
+    samples: int,
+    replicates: int,
+    seed: int,
+    chain: Chain,
+    folder: Path,
+    progress: Callable[[], object],
+) -> Cell:
+    """Take the replicates of a cell from `folder`; compute and keep those that it lacks.
+
+    `progress` is called after each replicate.
+    """
+    name = key(engine.scene, variant, samples=samples, seed=seed, chain=chain)
+    before = engine.compile_seconds
+    images, seconds = [], []
+    for replicate in range(replicates):
+        path = folder / name[:2] / f"{name}-{replicate:04d}.npz"
+        kept = _read(path)
+        if kept is None:
+            steps = list(engine.prefixes(variant, samples=samples, seed=seed, replicate=replicate, chain=chain))
+            kept = (
+                np.stack([image for _, image, _ in steps]).astype(np.float32),
+                np.array([spent for _, _, spent in steps]),
+            )
+            write_atomically(path, lambda temporary, kept=kept: np.savez(temporary, images=kept[0], seconds=kept[1]))
+        images.append(kept[0])
+        seconds.append(kept[1])
+        progress()
+    return Cell(
+        variant, powers_of_two(samples), np.stack(images), np.stack(seconds), engine.compile_seconds - before
+    )
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """Images and seconds of a kept replicate; None where the file is missing or damaged (NPZ has checksums)."""
+    try:
+        with np.load(path) as arrays:
+            return arrays["images"], arrays["seconds"]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def describe(scene: Scene, variant: Variant, chain: Chain) -> dict[str, object]:
+    """Named options behind a cell, for the report."""
+    options: dict[str, object] = {"variant": variant.name}
+    stored = needs_photons(scene, variant, chain)
+    if stored:
+        options["photons per pass"] = scene.photons.count
+        options["photons kept"] = stored
+        options["radius of the first pass"] = scene.photons.radius
+    if variant.term == "specular":
+        options["direct in the chain"] = chain
+    return json.loads(json.dumps(options))

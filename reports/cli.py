@@ -1,0 +1,434 @@
+"""The command `termwise`: compare, judge, render, reference, plan, scenes.
+
+Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`); 2: bad input, or a run that could not
+end. With --json one object goes to standard output, all else to standard error.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import attrs
+import cyclopts
+import numpy as np
+from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from scenes.load import library, load
+from scenes.terms import TERMS
+
+_messages = Console(stderr=True)
+_output = Console()
+
+app = cyclopts.App(
+    name="termwise",
+    help="The rendering equation term by term: is an estimator biased, by how much, where, and how sure are you?",
+    error_console=_messages,
+    error_formatter=lambda error: f"termwise: {' '.join(str(error).split())}",
+    print_error=True,
+    exit_on_error=False,
+)
+
+Json = Annotated[bool, Parameter(negative="", help="One JSON object on standard output.")]
+
+
+@app.command
+def compare(
+    *scenes: str,
+    study: str = "standard",
+    out: Path = Path("out"),
+    backend: str | None = None,
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Render scenes with ours and with Mitsuba, judge every term, write the report.
+
+    Parameters
+    ----------
+    scenes
+        Names of the library or paths of scene files; all scenes of the study if none.
+    study
+        quick, standard, full, or the path of a study file.
+    out
+        The report goes to OUT/compare.
+    backend
+        Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given.
+    json_
+        Print results.json on standard output.
+    """
+    from reports import page, run
+    from reports import study as studies
+
+    mitsuba = _choose_backend(backend)
+    chosen = studies.load(study)
+    prepared = run.scenes_of(chosen, scenes)
+    folder = out / "compare"
+    results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
+    if results is None:
+        with _progress() as bar:
+            task = bar.add_task("starting", total=None)
+
+            def report(what: str, done: int, total: int) -> None:
+                bar.update(task, description=what, completed=done, total=total)
+
+            results = run.measure(chosen, prepared, folder, name=Path(study).stem, report=report)
+        page.write(folder)
+    else:
+        _messages.print("Nothing has changed since the last run: no cell was computed.")
+    index = folder / "index.html"
+    if json_:
+        print(json.dumps(results))
+    else:
+        _print_results(results)
+        _output.print(f"\nReport: {index.resolve()}", soft_wrap=True)
+    return 1 if run.failures(results) else 0
+
+
+@app.command
+def judge(
+    *images: Path,
+    reference: Annotated[list[Path], Parameter(consume_multiple=True)],
+    reference_exact: Annotated[bool, Parameter(negative="")] = False,
+    part: str | None = None,
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Judge any renderer's replicate images against replicates of a reference.
+
+    Parameters
+    ----------
+    images
+        OpenEXR replicates of one image: equal settings, different seeds. At least 4, better 16.
+    reference
+        Replicates of the reference.
+    reference_exact
+        The one reference image has no noise.
+    part
+        Name of the part to read where a file has several.
+    json_
+        Print the verdict as JSON on standard output.
+    """
+    from reports.run import plain
+    from reports.verdict import judge as decide
+
+    if not images:
+        raise ValueError("images: none given: allowed are 4 or more OpenEXR files")
+    outcome = decide(
+        [_read(path, part) for path in images],
+        [_read(path, part) for path in reference],
+        exact=reference_exact,
+        names=[str(path) for path in images],
+        reference_names=[str(path) for path in reference],
+    )
+    for warning in outcome.warnings:
+        _messages.print(f"termwise: {warning}", soft_wrap=True, highlight=False)
+    if json_:
+        print(json.dumps(plain(attrs.asdict(outcome))))
+    else:
+        _output.print(f"[bold]{outcome.verdict}[/bold]", highlight=False)
+        _output.print(outcome.sentence, highlight=False, soft_wrap=True)
+        for reason in outcome.reasons:
+            _output.print(f"- {reason}", highlight=False, soft_wrap=True)
+    return 1 if outcome.verdict == "BIASED" else 0
+
+
+@app.command
+def render(
+    scene: str,
+    *,
+    term: str | None = None,
+    variant: str | None = None,
+    samples: int = 16,
+    replicates: int = 1,
+    seed: int = 0,
+    threads: int | None = None,
+    resolution: tuple[int, int] | None = None,
+    out: Path = Path("out"),
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Render a scene, or one of its terms, into an OpenEXR file and a PNG picture.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    term
+        ambient, direct, specular or background; without it all four and their sum.
+    variant
+        An estimator of the term; its default if not given.
+    samples
+        Samples per pixel and replicate; powers of two are best.
+    replicates
+        Independent repetitions that are averaged; two or more give a variance.
+    seed
+        Equal seeds give equal bits.
+    threads
+        One per core if not given.
+    resolution
+        Width and height, instead of the scene's.
+    out
+        Files go to OUT/render.
+    json_
+        Print what was rendered as JSON on standard output.
+    """
+    import renderer
+
+    described = _scene(scene, resolution)
+    terms = TERMS if term is None else (term,)
+    if term is None and variant is not None:
+        raise ValueError(f"variant = {variant!r}: allowed is a variant of one term; give --term too")
+    found = {
+        each: renderer.render(
+            described,
+            each,
+            variant=variant,
+            samples=samples,
+            replicates=replicates,
+            seed=seed,
+            threads=threads,
+        )
+        for each in terms
+    }
+    settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": variant or "default"}
+    return _write_images(described, found, out / "render", settings, json_)
+
+
+@app.command
+def reference(
+    scene: str,
+    *,
+    term: str | None = None,
+    physical: Annotated[bool, Parameter(negative="")] = False,
+    spp: int = 64,
+    replicates: int = 4,
+    seed: int = 0,
+    resolution: tuple[int, int] | None = None,
+    export: Path | None = None,
+    out: Path = Path("out"),
+    backend: str | None = None,
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Render a scene's terms with Mitsuba, or export a script that does so without Termwise.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    term
+        ambient, direct, specular or background; without it all four and their sum.
+    physical
+        Full light transport, split by the lobe at the camera, instead of the paper's terms.
+    spp
+        Samples per pixel and replicate.
+    replicates
+        Independent repetitions that are averaged.
+    seed
+        Equal seeds give equal bits on one backend.
+    resolution
+        Width and height, instead of the scene's.
+    export
+        Folder for a stand-alone Mitsuba script of these references; nothing is rendered.
+    out
+        Files go to OUT/reference.
+    backend
+        Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb.
+    json_
+        Print what was rendered as JSON on standard output.
+    """
+    import reference as mitsuba
+    from scenes import limits
+
+    _choose_backend(backend)
+    described = _scene(scene, resolution)
+    if term is not None and term not in TERMS:
+        raise ValueError(f"term = {term!r}: allowed are {', '.join(TERMS)}")
+    wanted = {
+        each: limits.physical(each) if physical else limits.correct(each, described.scope)
+        for each in TERMS
+        if term in (None, each)
+    }
+    if export is not None:
+        from reference.export import export as write
+
+        for limit in wanted.values():
+            _messages.print(f"Wrote {write(described, limit, export, spp=spp, seed=seed, replicates=replicates)}")
+        return 0
+    found = {
+        each: mitsuba.render(described, limit, spp=spp, seed=seed, replicates=replicates)
+        for each, limit in wanted.items()
+    }
+    return _write_images(described, found, out / "reference", {"spp": spp, "replicates": replicates, "seed": seed}, json_)
+
+
+@app.command
+def plan(scene: str, *, json_: Annotated[Json, Parameter(name="--json")] = False) -> int:
+    """Say what a scene needs: what runs, what is skipped, and why.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    json_
+        Print the plan as JSON on standard output.
+    """
+    from renderer.plan import plan as steps_of
+    from renderer.terms import find
+
+    steps = steps_of(load(scene), {term: find(term) for term in TERMS})
+    if json_:
+        print(json.dumps({"scene": scene, "steps": [attrs.asdict(step) for step in steps]}))
+        return 0
+    table = Table("term", "work", "runs", "why")
+    for step in steps:
+        table.add_row(step.term, step.work, "yes" if step.runs else "skipped", step.reason)
+    _output.print(table)
+    return 0
+
+
+@app.command
+def scenes(*, json_: Annotated[Json, Parameter(name="--json")] = False) -> int:
+    """List the scenes of the library.
+
+    Parameters
+    ----------
+    json_
+        Print the list as JSON on standard output.
+    """
+    rows = []
+    for name in library():
+        scene = load(name)
+        triangles = sum(len(thing.mesh.faces) for thing in scene.objects)
+        lights = len(scene.lights) + sum(thing.emits for thing in scene.objects)
+        rows.append({"name": name, "objects": len(scene.objects), "triangles": triangles, "lights": lights})
+        rows[-1] |= {"scope": scene.scope, "max_bounces": scene.max_bounces, "digest": scene.digest()}
+    if json_:
+        print(json.dumps({"scenes": rows}))
+        return 0
+    table = Table("scene", "objects", "triangles", "lights", "scope", "bounces")
+    for row in rows:
+        values = (row["objects"], row["triangles"], row["lights"], row["scope"], row["max_bounces"])
+        table.add_row(row["name"], *map(str, values))
+    _output.print(table)
+    return 0
+
+
+def main() -> None:
+    """Run the command; every foreseeable fault is one line on standard error and exit status 2."""
+    from reference.backend import BackendError
+
+    try:
+        status = app(exit_on_error=False)
+    except cyclopts.CycloptsError:
+        status = 2  # already printed, in one line
+    except KeyboardInterrupt:
+        _fail("interrupted: finished replicates are kept, the same command goes on from there")
+        status = 2
+    except OSError as error:
+        _fail(f"{error.filename or 'writing'}: {error.strerror or error}")
+        status = 2
+    except (ValueError, BackendError) as error:
+        _fail(str(error))
+        status = 2
+    sys.exit(status)
+
+
+def _fail(message: str) -> None:
+    print(f"termwise: {' '.join(message.split())}", file=sys.stderr)
+
+
+def _choose_backend(requested: str | None) -> str:
+    from reference import backend
+
+    return backend.choose(requested).variant
+
+
+def _scene(name: str, resolution: tuple[int, int] | None) -> Any:
+    scene = load(name)
+    return scene if resolution is None else attrs.evolve(scene, resolution=resolution)
+
+
+def _read(path: Path, part: str | None) -> np.ndarray:
+    from reports.images import read_exr
+
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file: allowed are OpenEXR images")
+    parts = read_exr(path)
+    if part is None and len(parts) == 1:
+        return next(iter(parts.values()))
+    if part not in parts:
+        raise ValueError(f"{path}: part = {part!r}: allowed are {', '.join(map(repr, parts))}")
+    return parts[part]
+
+
+def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dict[str, Any], as_json: bool) -> int:
+    """Write term images and their sum; report means and seconds."""
+    from reports.images import write_exr
+    from reports.page.pictures import write_png
+    from scenes.terms import total
+
+    parts = {term: image.mean for term, image in found.items()}
+    if len(parts) == len(TERMS):
+        parts["total"] = total(*(parts[term] for term in TERMS))
+    shown = "total" if "total" in parts else next(iter(parts))
+    exr, png = folder / f"{scene.name}.exr", folder / f"{scene.name}.{shown}.png"
+    header = {"software": "termwise", "scene": scene.name, "digest": scene.digest(), "settings": json.dumps(settings)}
+    write_exr(exr, parts, header)
+    write_png(png, parts[shown], exposure=scene.exposure)
+    rows = {
+        term: {"mean": image.mean.mean(axis=(0, 1)).tolist(), "seconds": image.seconds}
+        for term, image in found.items()
+    }
+    if as_json:
+        print(json.dumps({"scene": scene.name, "settings": settings, "terms": rows, "files": [str(exr), str(png)]}))
+        return 0
+    table = Table("term", "mean radiance (R, G, B)", "seconds")
+    for term, row in rows.items():
+        table.add_row(term, "  ".join(f"{x:.6f}" for x in row["mean"]), f"{row['seconds']:.2f}")
+    _output.print(table)
+    _output.print(f"{exr}\n{png}", soft_wrap=True, highlight=False)
+    return 0
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=_messages,
+        transient=True,
+    )
+
+
+_COLOURS = {"EQUIVALENT": "green", "AS PREDICTED": "green", "BIASED": "red", "NOT AS PREDICTED": "red"}
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:+.2f} %"
+
+
+def _print_results(results: dict[str, Any]) -> None:
+    table = Table("scene", "term", "variant", "bias", "90 % interval", "RMSE", "SSIM", "seconds", "verdict")
+    for row in results["cells"]:
+        if row["against"] != "own" or row["verdict"] is None:
+            continue
+        absent = row["verdict"] == "ABSENT"
+        colour = _COLOURS.get(row["verdict"], "yellow" if not absent else "dim")
+        table.add_row(
+            row["scene"],
+            row["term"],
+            row["variant"],
+            "" if absent else _percent(row["bias"]),
+            "" if absent else f"{_percent(row['bias_low'])} to {_percent(row['bias_high'])}",
+            "" if absent else f"{row['rmse']:.4f}",
+            "" if row["ssim"] is None or absent else f"{row['ssim']:.3f}",
+            f"{row['seconds']:.1f}",
+            f"[{colour}]{row['verdict']}[/{colour}]",
+        )
+    _output.print(table)
+    for row in results["cells"]:
+        if row["verdict"] in ("BIASED", "NOT AS PREDICTED", "UNDERPOWERED"):
+            where = f"{row['scene']}: {row['term']} {row['variant']}"
+            _output.print(f"{where}: {row['sentence']}", highlight=False, soft_wrap=True)
+

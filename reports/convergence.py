@@ -1,0 +1,188 @@
+"""How the error falls with samples: `MSE(N) = b² + c·N^-a`, and what its shape says about the estimator.
+
+An unbiased mean of N independent samples has a = 1 and b = 0. Prefixes of one run share samples, so the
+errors of a least-squares fit mean nothing: the whole fit is repeated without each replicate (delete-one
+jackknife over the replicates of both sides).
+"""
+
+from collections.abc import Callable, Sequence
+
+import attrs
+import numpy as np
+from scipy.optimize import fminbound
+
+from reports.verdict import Estimate, gram
+
+SLOPES = 0.1, 3.0
+"""Range of a that is searched: a slower fall looks like none, a faster one like a floor."""
+PREFIXES_NEEDED = 4
+"""One more than the parameters."""
+
+
+@attrs.frozen(eq=False)
+class Convergence:
+    """A fitted curve of errors.
+
+    Attributes
+    ----------
+    samples : (P,) float64
+    seconds : (P,) float64 or None
+        Time that each prefix takes.
+    rmse, rmse_low, rmse_high : (P,) float64
+        Of one replicate against the reference's limit, in radiance; 90 % band.
+    slope : Estimate or None
+        a; None where the error is not proven to fall.
+    floor : Estimate
+        b² in radiance²; may be negative.
+    scale : Estimate
+        c in radiance², the error above the floor at the first prefix: `MSE = b² + c (N/N_1)^-a`.
+    cause : str
+        What the shape of the curve says.
+    """
+
+    samples: np.ndarray
+    seconds: np.ndarray | None
+    rmse: np.ndarray
+    rmse_low: np.ndarray
+    rmse_high: np.ndarray
+    slope: Estimate | None
+    floor: Estimate
+    scale: Estimate
+    cause: str
+
+    def fitted_rmse(self, samples: np.ndarray) -> np.ndarray:
+        """The fitted curve at any samples, in radiance; 0 where the fitted square is negative."""
+        fall = 1.0 if self.slope is None else (np.asarray(samples) / self.samples[0]) ** -self.slope.value
+        return np.sqrt(np.maximum(0.0, self.floor.value + self.scale.value * fall))
+
+
+def mean_square_error(ours: np.ndarray, reference: np.ndarray) -> Estimate:
+    """Mean square error of one replicate against the reference's limit, freed of the reference's noise.
+
+    `mean((I_k - R̄)²) - mean(s_R²/R)` over pixels, channels and replicates: unbiased for `b² + V`, in
+    radiance², with a delete-one jackknife over both sides.
+
+    Parameters
+    ----------
+    ours : (K, H, W, 3) floating
+        Replicates at one prefix, read by bands.
+    reference : (R, H, W, 3) floating
+        R = 1 is taken as exact.
+    """
+    return gram(ours, reference).estimate(np.array([[1.0, -1.0], [-1.0, 1.0]]), (1.0, 0.0))
+
+
+def fit(
+    samples: Sequence[float] | np.ndarray,
+    errors: Sequence[Estimate],
+    *,
+    seconds: Sequence[float] | np.ndarray | None = None,
+    bias_squared: Estimate | None = None,
+) -> Convergence:
+    """Fit `MSE(N) = b² + c·N^-a` by least squares on relative residuals, and name the cause of its shape.
+
+    Parameters
+    ----------
+    samples : (P,), increasing
+        Samples of each prefix, powers of two; P ≥ 4.
+    errors : P estimates
+        `mean_square_error` of each prefix, of the same replicates in the same order.
+    seconds : (P,), optional
+        Time that each prefix takes.
+    bias_squared : Estimate, optional
+        Debiased bias² at the largest prefix (`Statistics.bias_squared`). It tells a floor made by bias from
+        one made by noise that no longer falls.
+
+    Raises
+    ------
+    ValueError
+        For fewer than 4 prefixes, samples that do not increase, or estimates of different replicates.
+    """
+    samples = np.asarray(samples, dtype=np.float64)
+    if len(samples) < PREFIXES_NEEDED or len(samples) != len(errors):
+        raise ValueError(
+            f"{len(samples)} prefixes and {len(errors)} errors; as many and ≥ {PREFIXES_NEEDED} needed"
+        )
+    if samples[0] <= 0 or np.any(np.diff(samples) <= 0):
+        raise ValueError(f"samples are {samples.tolist()}; they must be positive and increase")
+    if seconds is not None and len(seconds) != len(samples):
+        raise ValueError(f"{len(samples)} prefixes, but seconds of {len(seconds)}")
+    groups = {tuple(len(each) for each in error.leave_one_out) for error in errors}
+    if len(groups) > 1:
+        raise ValueError(f"prefixes of different replicates: {sorted(groups)}")
+
+    values = np.array([error.value for error in errors])
+    weights = 1 / np.maximum(np.abs(values), 1e-12 * (np.abs(values).max() or 1.0))
+
+    def estimates(of: Callable[[np.ndarray], Sequence[float]]) -> list[Estimate]:
+        """Numbers made of the prefixes' errors, with the jackknife carried through."""
+        without = [
+            np.array([of(left) for left in np.stack(group, axis=1)])
+            for group in zip(*(error.leave_one_out for error in errors), strict=True)
+        ]
+        return [
+            Estimate(float(value), tuple(group[:, i] for group in without))
+            for i, value in enumerate(of(values))
+        ]
+
+    (fall,) = estimates(lambda y: (y[0] - y[-1],))
+    if fall.low(0.05) > 0:
+        floor, scale, slope = estimates(lambda y: _least_squares(samples / samples[0], y, weights))
+    else:
+        (floor,) = estimates(lambda y: (np.average(y, weights=weights),))
+        scale, slope = Estimate(0.0, tuple(np.zeros_like(each) for each in floor.leave_one_out)), None
+
+    def root(squares: Sequence[float] | np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(0.0, np.asarray(squares)))
+
+    return Convergence(
+        samples=samples,
+        seconds=None if seconds is None else np.asarray(seconds, dtype=np.float64),
+        rmse=root(values),
+        rmse_low=root([error.low(0.05) for error in errors]),
+        rmse_high=root([error.high(0.05) for error in errors]),
+        slope=slope,
+        floor=floor,
+        scale=scale,
+        cause=_cause(slope, floor, bias_squared),
+    )
+
+
+def _least_squares(n: np.ndarray, values: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
+    """b², c, a: for each a the other two are linear, so that a alone is searched."""
+
+    def linear(a: float) -> tuple[np.ndarray, float]:
+        design = np.stack([np.ones_like(n), n**-a], axis=1) * weights[:, None]
+        solution = np.linalg.lstsq(design, values * weights, rcond=None)[0]
+        return solution, float(np.sum((design @ solution - values * weights) ** 2))
+
+    # The residual may have two valleys in a (a floor, or a slow fall): start the search from a grid.
+    grid = np.geomspace(*SLOPES, 25)
+    best = int(np.argmin([linear(a)[1] for a in grid]))
+    ends = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
+    slope = np.asarray(fminbound(lambda a: linear(a)[1], *ends)).item()
+    (floor, scale), _ = linear(slope)
+    return float(floor), float(scale), slope
+
+
+def _cause(slope: Estimate | None, floor: Estimate, bias_squared: Estimate | None) -> str:
+    biased = bias_squared is not None and bias_squared.low(0.05) > 0
+    if floor.low(0.05) > 0:
+        if bias_squared is None:
+            origin = "bias, a clamp, or repeated seeds"
+        else:
+            origin = "bias or a clamp" if biased else "noise that no longer falls, as of repeated seeds"
+        plateau = f"plateau b = {np.sqrt(floor.value):.3g}: {origin}"
+        return f"{plateau}; above it {_interval(slope)}" if slope else f"{plateau}; the error does not fall"
+    if slope is None:
+        return "the error is not proven to fall with the samples: too noisy to tell, or none"
+    low, high, interval = slope.low(0.05), slope.high(0.05), _interval(slope)
+    if high < 1:
+        return f"{interval}: slower than independent samples, a heavy tail or a shrinking kernel"
+    if low > 1:
+        return f"{interval}: faster than independent samples, stratified or low-discrepancy"
+    return f"{interval}: as independent samples without bias"
+
+
+def _interval(slope: Estimate) -> str:
+    return f"a = {slope.value:.2f} [{slope.low(0.05):.2f}, {slope.high(0.05):.2f}]"

@@ -1,0 +1,149 @@
+"""Images on disk: OpenEXR with named parts for viewers, NetCDF with named dimensions for analysis.
+
+An EXR holds one part per term image and reference, float32, linear Rec. 709, with its provenance in the header.
+`results.nc` has a group a scene: `image(cell, y, x, channel)` and `reference(limit, y, x, channel)`, means over replicates
+with the variance of the mean, and for each cell the indices of its own, correct and physical limit.
+"""
+
+import json
+from pathlib import Path
+
+import attrs
+import numpy as np
+import OpenEXR
+import xarray
+
+from renderer.terms import VARIANTS
+from reports.cells import Cell
+from reports.verdict import CHANNELS
+from scenes import limits
+from scenes.limits import Limit
+from scenes.model import Scene
+from scenes.store import write_atomically
+from scenes.terms import TERMS, TOTAL, TermImage, total
+
+
+def write_exr(path: Path, parts: dict[str, np.ndarray], header: dict[str, str]) -> None:
+    """Write (H, W, 3) images as the named parts of one OpenEXR file; it appears whole or not at all."""
+    described = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
+    file = OpenEXR.File(
+        [
+            OpenEXR.Part(dict(described), {"RGB": np.ascontiguousarray(image, np.float32)}, name)
+            for name, image in parts.items()
+        ]
+    )
+    write_atomically(path, lambda temporary: file.write(str(temporary)))
+
+
+def read_exr(path: Path) -> dict[str, np.ndarray]:
+    """The RGB images of an OpenEXR file by part name, (H, W, 3) float32; a ValueError says what is wrong.
+
+    A file of one part without a name gives the key "".
+    """
+    try:
+        with OpenEXR.File(str(path)) as file:
+            found = {}
+            for part in file.parts:
+                channels = part.channels
+                name = part.name() if callable(part.name) else part.name
+                if "RGB" in channels or "RGBA" in channels:
+                    pixels = channels["RGB" if "RGB" in channels else "RGBA"].pixels
+                    found[name or ""] = np.asarray(pixels[..., :3], np.float32)
+    except Exception as error:  # OpenEXR raises RuntimeError, TypeError and KeyError alike
+        raise ValueError(f"{path}: is not an OpenEXR image: {' '.join(str(error).split())}") from None
+    if not found:
+        raise ValueError(f"{path}: holds no RGB channels: allowed are OpenEXR images with R, G and B")
+    return found
+
+
+def limit_name(limit: Limit) -> str:
+    """A limit in a few words, unique within a scene."""
+    words = [limit.term]
+    if limit.transport == "physical":
+        words.append("physical")
+    if limit.factor != 1.0:
+        words.append(f"times {limit.factor:.6g}")
+    if limit.lobe != 1.0:
+        words.append(f"lobe times {limit.lobe:.6g}")
+    if limit.scope:
+        words.append(limit.scope)
+    return " ".join(words)
+
+
+@attrs.define(eq=False)
+class Pictures:
+    """Collects the images of a run, scene by scene."""
+
+    folder: Path
+    groups: dict[str, xarray.Dataset] = attrs.field(factory=dict)
+
+    def write(
+        self, scene: Scene, measured: list[Cell], references: dict[Limit, np.ndarray], versions: dict[str, str]
+    ) -> None:
+        """Write the EXR of a scene and keep its group of the dataset."""
+        ours = {
+            (cell.variant.term, cell.variant.name): _summary(cell.images[:, -1], cell.samples[-1])
+            for cell in measured
+        }
+        defaults = [next(c for c in measured if c.variant.term == term) for term in TERMS]
+        summed = total(*(cell.images[:, -1] for cell in defaults))
+        ours[TOTAL, "default"] = _summary(summed, max(cell.samples[-1] for cell in defaults))
+        truth = {limit_name(limit): _summary(stack, 0) for limit, stack in references.items()}
+        own = [cell.variant.limit(scene) for cell in defaults]
+        physical = [limits.physical(term) for term in TERMS]
+        for name, chosen in (("total", own), ("total physical", physical)):
+            shared = min(len(references[limit]) for limit in chosen)
+            truth[name] = _summary(total(*(references[limit][:shared] for limit in chosen)), 0)
+        names = list(truth)
+        indices = np.full((len(ours), 3), -1)
+        for row, (term, variant) in enumerate(ours):
+            if term == TOTAL:
+                indices[row] = names.index("total"), names.index("total"), names.index("total physical")
+            else:
+                limit = VARIANTS[term][variant].limit(scene)
+                wanted = (limit, limits.correct(term, scene.scope), limits.physical(term))
+                indices[row] = [names.index(limit_name(each)) for each in wanted]
+        self.groups[scene.name] = xarray.Dataset(
+            {
+                "image": _stacked("cell", [each.mean for each in ours.values()]),
+                "image_variance": _stacked("cell", [each.variance for each in ours.values()]),
+                "reference": _stacked("limit", [each.mean for each in truth.values()]),
+                "reference_variance": _stacked("limit", [each.variance for each in truth.values()]),
+            },
+            {
+                "cell_term": ("cell", [term for term, _ in ours]),
+                "cell_variant": ("cell", [variant for _, variant in ours]),
+                "limit_name": ("limit", names),
+                "own": ("cell", indices[:, 0]),
+                "correct": ("cell", indices[:, 1]),
+                "physical": ("cell", indices[:, 2]),
+                "channel": list(CHANNELS),
+            },
+            {"exposure": scene.exposure, "units": "linear Rec. 709 radiance", "digest": scene.digest()},
+        )
+        parts = {f"{term}.{variant}": each.mean for (term, variant), each in ours.items()}
+        parts |= {f"reference.{name}": each.mean for name, each in truth.items()}
+        header = {"software": "termwise", "scene": scene.name, "digest": scene.digest(), "versions": json.dumps(versions)}
+        write_exr(self.folder / "images" / f"{scene.name}.exr", parts, header)
+
+    def close(self) -> None:
+        """Write `results.nc`."""
+
+        def write(path: Path) -> None:
+            for index, (name, dataset) in enumerate(self.groups.items()):
+                encoding = {
+                    variable: {"zlib": True, "complevel": 1}
+                    for variable in ("image", "image_variance", "reference", "reference_variance")
+                }
+                mode = "w" if index == 0 else "a"
+                dataset.to_netcdf(path, group=name, mode=mode, engine="h5netcdf", encoding=encoding)
+
+        write_atomically(self.folder / "results.nc", write)
+
+
+def _summary(stack: np.ndarray, samples: int) -> TermImage:
+    return TermImage.from_replicates(stack, samples=samples, seconds=0.0)
+
+
+def _stacked(dimension: str, arrays: list[np.ndarray]) -> tuple[tuple[str, ...], np.ndarray]:
+    return (dimension, "y", "x", "channel"), np.stack(arrays).astype(np.float32)

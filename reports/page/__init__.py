@@ -1,0 +1,268 @@
+"""A finished run as pages: `results.json` and `results.nc` -> `index.html`, a page a scene, the method.
+
+Nothing else is read, so the pages can be written again at any time. They open from a disk without network: pictures
+are PNG files beside them, formulas MathML, and only the charts need a script (plotly's, copied once).
+"""
+
+import json
+import re
+import shutil
+from collections import Counter
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import jinja2
+import numpy as np
+import plotly.offline
+import xarray
+
+from renderer.terms import VARIANTS
+from reports import verdict
+from reports.page import charts, digits, method, pictures
+from scenes.store import write_atomically
+from scenes.terms import TERMS, TOTAL
+
+_HERE = Path(__file__).parent
+
+WORDS = {
+    "BIASED": ("bad", "✕"),
+    "NOT AS PREDICTED": ("bad", "✕"),
+    "UNDERPOWERED": ("open", "?"),
+    "EQUIVALENT": ("good", "✓"),
+    "AS PREDICTED": ("good", "✓"),
+    "ABSENT": ("none", "○"),
+    "NOT JUDGED": ("none", "·"),
+}
+"""Each verdict's colour class and sign, the gravest first; the word itself always stands beside them."""
+
+_FIELDS = (
+    "scene term variant kind scope against samples replicates reference_samples reference_replicates seconds "
+    "reference_seconds compile_seconds rmse rmse_low rmse_high relmse ssim bias bias_low bias_high standard_error "
+    "margin allowance tests family_low family_high rms_bias rms_bias_high place predicted_bias detectable_bias "
+    "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall"
+).split()
+_LISTS = "channels", "objects", "warnings", "reasons"
+
+
+def write(run: Path) -> Path:
+    """Write the pages of a finished run into its folder.
+
+    Parameters
+    ----------
+    run : Path
+        A folder that holds `results.json` and `results.nc`.
+
+    Returns
+    -------
+    Path
+        The `index.html`, written last: where it exists, all it links to does.
+
+    Raises
+    ------
+    FileNotFoundError
+        If one of the two files is missing.
+    ValueError
+        If they are of another schema.
+    """
+    results = json.loads((run / "results.json").read_text("utf-8"))
+    if results.get("schema") != 1:
+        raise ValueError(f"{run / 'results.json'}: schema = {results.get('schema')!r}: allowed is 1")
+    rows = [_complete(row) for row in results["cells"]]
+    scenes = [_Scene(name, described, rows) for name, described in results["settings"]["scenes"].items()]
+
+    # What an earlier run with other scenes left would be taken for this one's.
+    for folder in ("scenes", "pictures"):
+        shutil.rmtree(run / folder, ignore_errors=True)
+    shown = {scene.name: scene.draw(run) for scene in scenes}
+    _copy(run)
+
+    judged = [scene.row(*key, "own") for scene in scenes for key in scene.keys]
+    common = {
+        "results": results,
+        "settings": results["settings"],
+        "versions": results["versions"],
+        "scenes": scenes,
+        "shown": shown,
+        "rows": judged,
+        "tally": _tally(judged),
+        "words": WORDS,
+        "terms": TERMS,
+        "variants": VARIANTS,
+        "references": method.REFERENCES,
+        "rule": verdict,
+        "downloads": [
+            name
+            for name in ("results.json", "results.nc", *(f"images/{scene.name}.exr" for scene in scenes))
+            if (run / name).is_file()
+        ],
+    }
+    environment = _environment()
+    _render(environment, "method.html.j2", run / "method.html", root="", **common)
+    for scene in scenes:
+        page = run / "scenes" / f"{scene.name}.html"
+        _render(environment, "scene.html.j2", page, root="../", scene=scene, **common)
+    index = run / "index.html"
+    _render(environment, "index.html.j2", index, root="", keys=_keys(scenes), **common)
+    return index
+
+
+class _Scene:
+    """A scene's rows in the order in which they are read, and its pictures."""
+
+    def __init__(self, name: str, described: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+        self.name = name
+        self.described = {"resolution": None, "exposure": None, "settings": {}, "objects": [], "skips": [], **described}
+        self.rows = [row for row in rows if row["scene"] == name]
+        self.keys = sorted(
+            dict.fromkeys((row["term"], row["variant"]) for row in self.rows), key=lambda key: _order(key[0])
+        )
+
+    @property
+    def terms(self) -> dict[str, list[str]]:
+        """Variants of each term."""
+        found: dict[str, list[str]] = {}
+        for term, variant in self.keys:
+            found.setdefault(term, []).append(variant)
+        return found
+
+    def prefixes(self, term: str, variant: str) -> list[dict[str, Any]]:
+        """Rows against `own` by increasing samples; the last one is the judged one."""
+        rows = [row for row in self.rows if (row["term"], row["variant"], row["against"]) == (term, variant, "own")]
+        return sorted(rows, key=lambda row: row["samples"] or 0)
+
+    def row(self, term: str, variant: str, against: str) -> dict[str, Any] | None:
+        """The row at the largest sample count, None if there is none."""
+        rows = [row for row in self.rows if (row["term"], row["variant"], row["against"]) == (term, variant, against)]
+        return max(rows, key=lambda row: row["samples"] or 0, default=None)
+
+    def chart(self, term: str) -> dict[str, Any] | None:
+        """Convergence of all variants of a term, as a plotly figure."""
+        return charts.convergence({name: self.prefixes(term, name) for name in self.terms[term]})
+
+    @property
+    def worst(self) -> str:
+        """The gravest word among the scene's rows."""
+        found = [_word(self.row(*key, "own")) for key in self.keys]
+        return min(found, key=list(WORDS).index, default="NOT JUDGED")
+
+    def draw(self, run: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
+        """Write the scene's pictures; returns, by (term, variant, against), their addresses and scales."""
+        with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as dataset:
+            dataset = dataset.load()
+        exposure = float(dataset.attrs.get("exposure", self.described["exposure"] or 1.0))
+        folder = Path("pictures") / self.name
+        written: set[Path] = set()
+
+        def picture(name: str, pixels: np.ndarray) -> str:
+            path = folder / f"{_slug(name)}.png"
+            if path not in written:
+                pictures.save(run / path, pixels)
+                written.add(path)
+            return quote(path.as_posix())
+
+        cells = list(zip(dataset["cell_term"].values.astype(str), dataset["cell_variant"].values.astype(str), strict=True))
+        drawn: dict[tuple[str, str, str], dict[str, Any]] = {}
+        for against in ("own", "physical"):
+            for term in dict.fromkeys(term for term, _ in cells):
+                if against == "physical" and term != TOTAL:
+                    continue
+                # The scale of colours is shared by the variants of the term.
+                errors, limits = {}, {}
+                for cell, (its, variant) in enumerate(cells):
+                    limit = int(dataset[against].values[cell])
+                    if its == term and limit >= 0:
+                        reference = dataset["reference"].values[limit]
+                        errors[cell] = pictures.relative_error(dataset["image"].values[cell], reference)
+                        limits[cell] = limit, reference, variant
+                if not errors:
+                    continue
+                scale = pictures.error_scale([error for error, _ in errors.values()])
+                for cell, (error, mean) in errors.items():
+                    limit, reference, variant = limits[cell]
+                    ours = dataset["image"].values[cell]
+                    name = str(dataset["limit_name"].values[limit])
+                    drawn[term, variant, against] = {
+                        "ours": picture(f"{term} {variant}", pictures.display(ours, exposure=exposure)),
+                        "reference": picture(f"reference {name}", pictures.display(reference, exposure=exposure)),
+                        "error": picture(f"{term} {variant} error {against}", pictures.diverge(error, scale=scale)),
+                        "limit": name,
+                        "scale": scale,
+                        "mean": mean,
+                        "height": ours.shape[0],
+                        "width": ours.shape[1],
+                    }
+        return drawn
+
+
+def _order(term: str) -> int:
+    return [*TERMS, TOTAL].index(term) if term in (*TERMS, TOTAL) else len(TERMS) + 1
+
+
+def _complete(row: dict[str, Any]) -> dict[str, Any]:
+    """A row in which whatever is not due is None."""
+    return dict.fromkeys(_FIELDS) | dict.fromkeys(_LISTS, []) | {k: v for k, v in row.items() if v is not None}
+
+
+def _word(row: dict[str, Any] | None) -> str:
+    return (row or {}).get("verdict") or "NOT JUDGED"
+
+
+def _tally(rows: list[dict[str, Any] | None]) -> dict[str, list[dict[str, Any]]]:
+    """Rows by word, the gravest first."""
+    found = {word: [row for row in rows if row and _word(row) == word] for word in WORDS}
+    return {word: rows for word, rows in found.items() if rows}
+
+
+def _keys(scenes: list[_Scene]) -> dict[str, list[str]]:
+    """Variants of each term over all scenes."""
+    every = sorted(dict.fromkeys(key for scene in scenes for key in scene.keys), key=lambda key: _order(key[0]))
+    found: dict[str, list[str]] = {}
+    for term, variant in every:
+        found.setdefault(term, []).append(variant)
+    return found
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-")
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    for name in ("percent", "interval", "plus_minus", "number", "similarity", "duration", "setting"):
+        environment.filters[name] = getattr(digits, name)
+    environment.filters["math"] = method.mathml
+    environment.filters["equation"] = lambda latex: method.mathml(latex, block=True)
+    environment.filters["slug"] = _slug
+    environment.filters["word"] = _word
+    environment.globals["variant"] = method.find
+    environment.globals["bar"] = _bar()
+    return environment
+
+
+def _bar() -> str:
+    """The diverging scale as a CSS gradient."""
+    colours = pictures.diverge(np.linspace(-1.0, 1.0, 21), scale=1.0)
+    return "linear-gradient(to right, " + ", ".join(f"rgb({r} {g} {b})" for r, g, b in colours.tolist()) + ")"
+
+
+def _render(environment: jinja2.Environment, template: str, path: Path, **values: Any) -> None:
+    text = environment.get_template(template).render(**values)
+    write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
+
+
+def _copy(run: Path) -> None:
+    """Style and scripts, shared by all pages."""
+    for path in sorted((_HERE / "static").iterdir()):
+        write_atomically(run / path.name, lambda temporary, path=path: shutil.copyfile(path, temporary))
+    script = run / "plotly.min.js"
+    write_atomically(script, lambda temporary: temporary.write_text(plotly.offline.get_plotlyjs(), "utf-8"))
+
+
+__all__ = ["WORDS", "write"]

@@ -1,0 +1,504 @@
+"""A run: measure every cell of a study against its references, decide, and write what the report reads.
+
+scene -> plan -> (renderer | reference) -> measurements -> verdicts -> `results.json`, `results.nc`, `images/*.exr`
+
+The level of every test depends on the number of tests of the whole run, so all rows are measured before any is decided.
+Replicates are kept in the cache by content: an interrupted run goes on where it stopped, a run with nothing changed
+computes nothing.
+"""
+
+import hashlib
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from reference import backend, store
+from renderer.plan import plan, skipped
+from renderer.terms import VARIANTS, Variant
+from renderer.tiles import Engine
+from reports import cells, images, metrics, verdict
+from reports.cells import Cell
+from reports.convergence import PREFIXES_NEEDED, Convergence, fit, mean_square_error
+from reports.study import Study
+from reports.verdict import CHANNELS, Statistics, Verdict
+from scenes import limits
+from scenes.limits import Limit
+from scenes.load import load
+from scenes.model import Scene
+from scenes.store import PROJECT, cache_folder, sources_digest, write_atomically
+from scenes.terms import TERMS, TOTAL, Scope, Term, total
+
+SCHEMA = 1
+# Direct at the vertices of a specular chain, in all cells: kernel bias must not leak into a specular verdict.
+CHAIN = "path"
+# SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
+_SHOWN_REPLICATES = 4
+
+Report = Callable[[str, int, int], object]
+
+
+@attrs.frozen(eq=False)
+class _Row:
+    """A measured row that waits for its verdict."""
+
+    fields: dict[str, Any]
+    statistics: Statistics | None
+    decide: dict[str, Any]
+    judged: bool
+
+
+@attrs.frozen(eq=False)
+class References:
+    """Replicates of a scene's limits, (R, H, W, 3) float32 each, and the seconds that they took."""
+
+    images: dict[Limit, np.ndarray]
+    seconds: dict[Limit, float]
+    spp: dict[Limit, int]
+    shortfall: dict[Limit, str]
+
+
+def scenes_of(study: Study, names: tuple[str, ...] = ()) -> tuple[Scene, ...]:
+    """Scenes of a study, or those named, at the study's resolution."""
+    prepared = []
+    for name in names or study.scenes:
+        scene = attrs.evolve(load(name), resolution=study.resolution)
+        if study.photons and study.photons < scene.photons.count:
+            scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=study.photons))
+        prepared.append(scene)
+    twice = [scene.name for scene in prepared]
+    for name in twice:
+        if twice.count(name) > 1:
+            raise ValueError(f"scenes: {name!r} is named twice: allowed are distinct names")
+    return tuple(prepared)
+
+
+def variants_of(study: Study, scene: Scene, term: Term) -> tuple[Variant, ...]:
+    """Variants of a term that mean what the scene means: those whose limit has the scene's scope."""
+    chosen = [VARIANTS[term][name] for name in study.of(term)[1]]
+    return tuple(variant for variant in chosen if variant.limit(scene).scope in (None, scene.scope))
+
+
+def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
+    """sha256 of all that decides a run's results but the speed of the machine."""
+    sources = sources_digest(*(PROJECT / name for name in ("renderer", "reference", "scenes", "reports")))
+    settings = (attrs.asdict(study), [(s.name, s.exposure, s.digest()) for s in scenes], variant, sources, versions())
+    return hashlib.sha256(repr(settings).encode()).hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that makes numbers."""
+    packages = ("termwise", "numba", "numpy", "scipy", "scikit-image", "mitsuba", "drjit", "xarray")
+    return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in packages}
+
+
+def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
+    """The results in `folder` if they are whole and belong to this very run."""
+    try:
+        results = json.loads((folder / "results.json").read_text("utf-8"))
+        whole = (folder / "results.nc").is_file() and (folder / "index.html").is_file()
+    except (OSError, ValueError):
+        return None
+    return results if whole and results.get("settings", {}).get("digest") == fingerprint else None
+
+
+def measure(study: Study, scenes: tuple[Scene, ...], folder: Path, *, name: str, report: Report) -> dict[str, Any]:
+    """Measure and judge a study; write results and images into `folder`.
+
+    Parameters
+    ----------
+    study, scenes : what to measure.
+    folder : made if missing.
+    name : the study's name, for the report.
+    report : called with (what, done, of all) as replicates come in.
+
+    Returns
+    -------
+    dict
+        What `results.json` holds.
+    """
+    chosen = backend.choose()
+    waiting: list[_Row] = []
+    described: dict[str, Any] = {}
+    pictures = images.Pictures(folder)
+    steps = sum(
+        study.replicates * sum(len(variants_of(study, scene, term)) for term in TERMS)
+        + study.reference_replicates * len(_limits(study, scene))
+        for scene in scenes
+    )
+    done = 0
+
+    def advance(what: str) -> None:
+        nonlocal done
+        done += 1
+        report(what, done, steps)
+
+    for scene in scenes:
+        references = _references(study, scene, advance)
+        with Engine(scene) as engine:
+            objects = engine.geometry().object
+            measured = [
+                cells.cell(
+                    engine,
+                    variant,
+                    samples=study.of(term)[0],
+                    replicates=study.replicates,
+                    seed=study.seed,
+                    chain=CHAIN,
+                    folder=cache_folder() / "cells",
+                    progress=lambda scene=scene, term=term, variant=variant: advance(
+                        f"{scene.name}: {term} {variant.name}"
+                    ),
+                )
+                for term in TERMS
+                for variant in variants_of(study, scene, term)
+            ]
+        report(f"{scene.name}: measuring", done, steps)
+        waiting += _rows(study, scene, measured, references, objects)
+        pictures.write(scene, measured, references.images, versions())
+        described[scene.name] = _describe(study, scene)
+    tests = sum(_tests(row) for row in waiting if row.judged)
+    rows = [_decided(row, tests) for row in waiting]
+    results = {
+        "schema": SCHEMA,
+        "versions": versions(),
+        "settings": {
+            "study": name,
+            "digest": digest(study, scenes, chosen.variant),
+            "seed": study.seed,
+            "backend": chosen.variant,
+            "backend_reason": chosen.reason,
+            "machine": platform.machine(),
+            "system": f"{platform.system()} {platform.release()}",
+            "cores": os.cpu_count(),
+            "command": " ".join(["termwise", *sys.argv[1:]]),
+            "alpha": verdict.LEVEL,
+            "tests": tests,
+            "options": {
+                "replicates": study.replicates,
+                "reference replicates": study.reference_replicates,
+                "reference samples per pixel": study.reference_spp,
+                "direct at the vertices of a specular chain": CHAIN,
+                "what a ray ignores that leaves a face": "the same face",
+                "normals": "turned towards the viewer",
+                "irradiance read as": "E / pi",
+                "intersection": "watertight, float64",
+            },
+            "scenes": described,
+        },
+        "cells": rows,
+    }
+    pictures.close()
+    text = json.dumps(plain(results), indent=1, allow_nan=False)
+    write_atomically(folder / "results.json", lambda path: path.write_text(text, "utf-8"))
+    return results
+
+
+def _limits(study: Study, scene: Scene) -> tuple[Limit, ...]:
+    """Every limit that a scene's rows are measured against, each once."""
+    wanted: dict[Limit, None] = {}
+    for term in TERMS:
+        for variant in variants_of(study, scene, term):
+            wanted[variant.limit(scene)] = None
+        wanted[limits.correct(term, scene.scope)] = None
+        wanted[limits.physical(term)] = None
+    return tuple(wanted)
+
+
+def _references(study: Study, scene: Scene, advance: Callable[[str], None]) -> References:
+    found = References({}, {}, {}, {})
+    for limit in _limits(study, scene):
+        kept = store.replicates(
+            scene,
+            limit,
+            spp=study.reference_spp,
+            seed=study.seed,
+            count=study.reference_replicates,
+            folder=cache_folder() / "reference",
+            progress=lambda limit=limit: advance(f"{scene.name}: reference {limit.term}"),
+        )
+        found.images[limit] = kept.images
+        found.seconds[limit] = float(np.sum(kept.seconds))
+        found.spp[limit] = kept.spp
+        if kept.shortfall:
+            found.shortfall[limit] = kept.shortfall
+    return found
+
+
+def _rows(
+    study: Study, scene: Scene, measured: list[Cell], references: References, objects: np.ndarray
+) -> list[_Row]:
+    names = [thing.name for thing in scene.objects]
+    correct = {term: limits.correct(term, scene.scope) for term in TERMS}
+    physical = {term: limits.physical(term) for term in TERMS}
+
+    def luminance(images: np.ndarray) -> float:
+        return float(np.dot(np.mean(images, axis=(0, 1, 2), dtype=np.float64), verdict.LUMINANCE))
+
+    fallback = sum(luminance(references.images[limit]) for limit in correct.values()) or 1.0
+    rows: list[_Row] = []
+
+    def statistics(ours: np.ndarray, reference: np.ndarray) -> Statistics:
+        return verdict.measure(ours, reference, objects=objects, object_names=names, scale=fallback)
+
+    for cell in measured:
+        variant = cell.variant
+        term = variant.term
+        own = variant.limit(scene)
+        reference = references.images[own]
+        at_own = statistics(cell.images[:, -1], reference)
+        kernel = variant.kernel_based(scene)
+        errors = [mean_square_error(cell.images[:, p], reference) for p in range(len(cell.samples))]
+        curve = None
+        if len(cell.samples) >= PREFIXES_NEEDED and not at_own.absent:
+            seconds = cell.seconds.mean(axis=0)
+            curve = fit(cell.samples, errors, seconds=seconds, bias_squared=at_own.bias_squared)
+        base = {
+            "scene": scene.name,
+            "term": term,
+            "variant": variant.name,
+            "kind": variant.kind,
+            "scope": scene.scope,
+        }
+        own_mean, correct_mean = luminance(reference), luminance(references.images[correct[term]])
+        for p in reversed(range(len(cell.samples))):
+            last = p == len(cell.samples) - 1
+            rows.append(
+                _row(
+                    {**base, "against": "own", **_curve(curve if last else None)},
+                    cell.images[:, p],
+                    reference,
+                    scene,
+                    statistics=at_own if last else None,
+                    samples=cell.samples[p],
+                    seconds=float(cell.seconds[:, p].sum()),
+                    compile_seconds=cell.compile_seconds if last else None,
+                    references=references,
+                    limits=(own,),
+                    kind=variant.kind,
+                    kernel=kernel,
+                    allowance=variant.allowance if kernel else 0.0,
+                    margin=verdict.margin_of(variant.kind, own_mean, correct_mean),
+                    judged=last and variant.judged,
+                    predicted_bias=0.0,
+                    reason=skipped(scene, term) or "",
+                )
+            )
+        ratio = variant.ratio(scene)
+        measured_ratio = own_mean / correct_mean if correct_mean > 0 else None
+        for against, limit in (("correct", correct[term]), ("physical", physical[term])):
+            predicted = ratio if against == "correct" and ratio is not None else None
+            if against == "correct" and predicted is None:
+                predicted = measured_ratio
+            if against == "physical" and variant.name != study.of(term)[1][0]:
+                continue
+            rows.append(
+                _row(
+                    {**base, "against": against},
+                    cell.images[:, -1],
+                    references.images[limit],
+                    scene,
+                    statistics=at_own
+                    if limit == own
+                    else statistics(cell.images[:, -1], references.images[limit]),
+                    samples=cell.samples[-1],
+                    seconds=float(cell.seconds[:, -1].sum()),
+                    references=references,
+                    limits=(limit,),
+                    kind=variant.kind,
+                    kernel=kernel,
+                    judged=False,
+                    predicted_bias=None if predicted is None else predicted - 1.0,
+                )
+            )
+    rows += _total_rows(study, scene, measured, references, statistics)
+    return rows
+
+
+def _total_rows(
+    study: Study,
+    scene: Scene,
+    measured: list[Cell],
+    references: References,
+    statistics: Callable[[np.ndarray, np.ndarray], Statistics],
+) -> list[_Row]:
+    """Rows of the sum of the default variants; it carries the allowance of a kernel-based term."""
+    default = {term: next(c for c in measured if c.variant.term == term) for term in TERMS}
+    ours = total(*(default[term].images[:, -1] for term in TERMS))
+    kernel = any(cell.variant.kernel_based(scene) for cell in default.values())
+    allowance = max(c.variant.allowance if c.variant.kernel_based(scene) else 0.0 for c in default.values())
+    rows = []
+    for against, limit_of in (
+        ("own", lambda term: default[term].variant.limit(scene)),
+        ("physical", limits.physical),
+    ):
+        chosen = tuple(limit_of(term) for term in TERMS)
+        shared = min(len(references.images[limit]) for limit in chosen)
+        reference = total(*(references.images[limit][:shared] for limit in chosen))
+        rows.append(
+            _row(
+                {
+                    "scene": scene.name,
+                    "term": TOTAL,
+                    "variant": "default",
+                    "kind": "right",
+                    "scope": scene.scope,
+                    "against": against,
+                },
+                ours,
+                reference,
+                scene,
+                statistics=statistics(ours, reference),
+                samples=max(cell.samples[-1] for cell in default.values()),
+                seconds=float(sum(cell.seconds[:, -1].sum() for cell in default.values())),
+                references=references,
+                limits=chosen,
+                kind="right",
+                kernel=kernel,
+                allowance=allowance if against == "own" else 0.0,
+                judged=against == "own",
+                predicted_bias=0.0 if against == "own" else None,
+                reason="every term is absent",
+            )
+        )
+    return rows
+
+
+def _row(
+    fields: dict[str, Any],
+    ours: np.ndarray,
+    reference: np.ndarray,
+    scene: Scene,
+    *,
+    statistics: Statistics | None,
+    samples: int,
+    seconds: float,
+    references: References,
+    limits: tuple[Limit, ...],
+    judged: bool,
+    compile_seconds: float | None = None,
+    **decide: Any,
+) -> _Row:
+    """A row's metrics; those of images are of single replicates, against the mean of the reference."""
+    truth = np.asarray(np.mean(reference, axis=0, dtype=np.float64))
+    shown = ours[:_SHOWN_REPLICATES]
+    black = not truth.any()
+    fields = {
+        **_curve(None),
+        **fields,
+        "samples": samples,
+        "replicates": len(ours),
+        "reference_samples": references.spp[limits[0]],
+        "reference_replicates": len(reference),
+        "seconds": seconds,
+        "compile_seconds": compile_seconds,
+        "reference_seconds": sum(references.seconds[limit] for limit in limits),
+        "rmse": float(np.sqrt(np.mean([metrics.rmse(truth, image) ** 2 for image in ours]))),
+        "relmse": None if black else float(np.mean([metrics.relative_mse(truth, image) for image in shown])),
+        "ssim": _ssim(truth, shown, scene.exposure),
+    }
+    warnings = [references.shortfall[limit] for limit in limits if limit in references.shortfall]
+    if warnings:
+        fields["reference_shortfall"] = "; ".join(warnings)
+    return _Row(fields, statistics, {**decide, "samples": samples, "seconds": seconds}, judged)
+
+
+def _ssim(truth: np.ndarray, shown: np.ndarray, exposure: float) -> float | None:
+    if min(truth.shape[:2]) < metrics.SSIM_WINDOW:
+        return None
+    return float(np.mean([metrics.ssim(truth, image, exposure=exposure) for image in shown]))
+
+
+def _curve(curve: Convergence | None) -> dict[str, Any]:
+    if curve is None:
+        return dict.fromkeys(("slope", "slope_low", "slope_high", "floor", "cause"))
+    slope = curve.slope
+    return {
+        "slope": None if slope is None else slope.value,
+        "slope_low": None if slope is None else slope.low(0.05),
+        "slope_high": None if slope is None else slope.high(0.05),
+        "floor": curve.floor.value,
+        "cause": curve.cause,
+    }
+
+
+def _tests(row: _Row) -> int:
+    assert row.statistics is not None
+    return row.statistics.mean_tests if row.decide["kernel"] else row.statistics.tests
+
+
+def _decided(row: _Row, tests: int) -> dict[str, Any]:
+    if row.statistics is None:
+        return {**row.fields, **_NOT_JUDGED}
+    outcome = verdict.decide(row.statistics, tests=max(tests, 1), judged=row.judged, **row.decide).row()
+    regions = outcome.pop("regions")
+    return {
+        **row.fields,
+        **outcome,
+        "channels": [region for region in regions if region["region"] == verdict.IMAGE],
+        "objects": [region for region in regions if region["region"] != verdict.IMAGE],
+    }
+
+
+# A prefix of a run has errors, but neither bias nor verdict of its own.
+_NOT_JUDGED: dict[str, Any] = dict.fromkeys(
+    field.name for field in attrs.fields(Verdict) if field.name != "regions"
+) | {"warnings": [], "reasons": [], "channels": [], "objects": []}
+
+
+def _describe(study: Study, scene: Scene) -> dict[str, Any]:
+    chosen: dict[Term, Variant] = {term: variants_of(study, scene, term)[0] for term in TERMS}
+    return {
+        "resolution": list(scene.resolution),
+        "exposure": scene.exposure,
+        "scope": scene.scope,
+        "max_bounces": scene.max_bounces,
+        "digest": scene.digest(),
+        "objects": [thing.name for thing in scene.objects],
+        "settings": {
+            "triangles": sum(len(thing.mesh.faces) for thing in scene.objects),
+            "ambient light": list(scene.ambient.color),
+            "ambient occlusion range": scene.ambient.range if math.isfinite(scene.ambient.range) else "infinite",
+            "point lights": len(scene.lights),
+            "area lights": sum(thing.emits for thing in scene.objects),
+            "sky": "texture" if scene.sky.texture is not None else list(scene.sky.color),
+            "pixel rule": scene.camera.pixel,
+            "field of view (degrees)": scene.camera.fov,
+            "photons per pass": scene.photons.count,
+            "radius of the first pass": scene.photons.radius,
+            "k of the paper's photon search": scene.photons.nearest,
+            "shadows": scene.shadows,
+            "lights drawn": scene.draw_lights,
+            **{f"toggle {name.replace('_', ' ')}": value for name, value in attrs.asdict(scene.toggles).items()},
+        },
+        "skips": [attrs.asdict(step) for step in plan(scene, chosen, chain=CHAIN)],
+    }
+
+
+def failures(results: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows whose verdict against `own` proves an error."""
+    return [row for row in results["cells"] if row["verdict"] in ("BIASED", "NOT AS PREDICTED")]
+
+
+def plain(value: Any) -> Any:
+    """JSON has no NaN, no infinity, no NumPy numbers: the first two become null."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+__all__ = ["CHANNELS", "Scope", "digest", "failures", "finished", "measure", "scenes_of", "variants_of", "versions"]

@@ -1,0 +1,12 @@
+"""Is an estimator biased, by how much, where, why, and how sure are you?
+
+`load` a scene, `render` one of its terms with our renderer, render its `reference` with Mitsuba, and `judge` any
+replicate images against any reference.
+"""
+
+from reference import render as reference
+from renderer import render
+from reports.verdict import judge
+from scenes.load import load
+
+__all__ = ["judge", "load", "reference", "render"]

@@ -1,0 +1,399 @@
+"""The rule in its order: ABSENT, BIASED, EQUIVALENT, UNDERPOWERED; and what may not reach it.
+
+Rationale: the words decide whether a renderer is trusted, so the rule is written a second time here, from the
+pixels, with scipy's own Welch interval and a jackknife that really leaves replicates out.
+"""
+
+import json
+
+import attrs
+import numpy as np
+import pytest
+from scipy import stats
+
+import reports.verdict
+from reports.verdict import decide, judge, margin_of, measure
+
+WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+@pytest.fixture
+def pair(rng, replicates, picture) -> tuple[np.ndarray, np.ndarray]:
+    """Ours and reference of one limit, K = R = 16, 32 × 48 px."""
+    ours, reference = (replicates(rng, picture(32, 48)) for _ in range(2))
+    return ours, reference
+
+
+# The rule, written again.
+
+
+def blocks(images: np.ndarray, side: int) -> np.ndarray:
+    count, height, width = images.shape
+    return images.reshape(count, height // side, side, width // side, side).mean(axis=(2, 4))
+
+
+def welch(ours: np.ndarray, reference: np.ndarray, level: float) -> tuple[float, float]:
+    interval = stats.ttest_ind(ours, reference, equal_var=False).confidence_interval(1 - level)
+    return float(interval.low), float(interval.high)
+
+
+def shape(ours: np.ndarray, reference: np.ndarray, side: int) -> tuple[float, float]:
+    """θ and its jackknife error, in radiance²."""
+    a, b = blocks(ours @ WEIGHTS, side), blocks(reference @ WEIGHTS, side)
+
+    def theta(a: np.ndarray, b: np.ndarray) -> float:
+        square = (a.mean(axis=0) - b.mean(axis=0)) ** 2
+        return float(np.mean(square - a.var(axis=0, ddof=1) / len(a) - b.var(axis=0, ddof=1) / len(b)))
+
+    variance = 0.0
+    for left in (
+        [theta(np.delete(a, i, axis=0), b) for i in range(len(a))],
+        [theta(a, np.delete(b, i, axis=0)) for i in range(len(b))],
+    ):
+        variance += (len(left) - 1) * np.var(left)
+    return theta(a, b), float(np.sqrt(variance))
+
+
+def rule(ours, reference, objects, tests, allowance, margin, kernel) -> str:
+    """validation.md, for images whose noise is far above every floor."""
+    ours, reference = ours.astype(np.float64), reference.astype(np.float64)
+    level, tolerated = 0.05 / tests, 0.001 + allowance
+    mean = reference.mean(axis=(0, 1, 2)) @ WEIGHTS
+    for inside in [np.ones(objects.shape, dtype=bool)] + [
+        objects == i for i in np.unique(objects[objects >= 0])
+    ]:
+        for channel in range(3):
+            x, y = (each[:, inside, channel].mean(axis=1) for each in (ours, reference))
+            low, high = np.array(welch(x, y, level)) / max(y.mean(), 0.1 * mean)
+            if low > tolerated or high < -tolerated:
+                return "BIASED"
+    if not kernel:
+        degrees = min(len(ours), len(reference)) - 1
+        for side, limit in ((2, 0.005), (8, 0.003)):
+            theta, error = shape(ours, reference, side)
+            if (theta - stats.t.ppf(1 - level, degrees) * error) / mean**2 > limit**2:
+                return "BIASED"
+        a, b = blocks(ours @ WEIGHTS, 16), blocks(reference @ WEIGHTS, 16)
+        for y, x in np.ndindex(a.shape[1:]):
+            low, high = np.array(welch(a[:, y, x], b[:, y, x], level / a[0].size)) / max(
+                b[:, y, x].mean(), mean
+            )
+            if low > 0.005 or high < -0.005:
+                return "BIASED"
+    theta, error = shape(ours, reference, 8)
+    if theta + stats.t.ppf(0.95, min(len(ours), len(reference)) - 1) * error >= 0.0009 * mean**2:
+        return "UNDERPOWERED"
+    for channel in range(3):
+        x, y = (each[..., channel].mean(axis=(1, 2)) for each in (ours, reference))
+        low, high = np.array(welch(x, y, 0.1)) / max(y.mean(), 0.1 * mean)
+        if low <= -margin - allowance or high >= margin + allowance:
+            return "UNDERPOWERED"
+    return "EQUIVALENT"
+
+
+def test_the_rule_written_twice(rng, replicates, picture):
+    """160 random rows: gains, tiles, ramps and noises around every limit. Expected: the same word in each."""
+    y, x = np.mgrid[:32, :48]
+    objects = np.where(x < 10, 0, np.where(y > 25, 3, -1))
+    words = []
+    for _ in range(160):
+        mean = picture(32, 48)
+        field = 1 + rng.choice([0.0, rng.normal(0, 0.01)])
+        field = field + rng.choice([0.0, rng.normal(0, 0.06)]) * ((y < 16) & (x < 16))
+        field = field + rng.choice([0.0, rng.normal(0, 0.03)]) * (x / 24 - 1)
+        noise = 10 ** rng.uniform(-2.5, 0)
+        ours = replicates(rng, mean * field[..., None], int(rng.integers(8, 17)), noise=noise)
+        reference = replicates(rng, mean, 12, noise=noise)
+        options = {
+            "allowance": float(rng.choice([0.0, 0.01])),
+            "margin": float(rng.choice([0.005, 0.01])),
+            "kernel": bool(rng.integers(2)),
+        }
+        tests = int(rng.choice([12, 600]))
+        statistics = measure(ours, reference, objects=objects)
+        assert statistics.tests == 12
+        assert statistics.mean_tests == 9
+        found = decide(statistics, tests=tests, **options).verdict
+        assert found == rule(ours, reference, objects, tests=tests, **options)
+        words.append(found)
+    assert min(words.count(word) for word in ("BIASED", "EQUIVALENT", "UNDERPOWERED")) >= 10, (
+        "all are visited"
+    )
+
+
+def test_wrong_variants_have_their_own_words(rng, replicates, picture):
+    ours, reference = (replicates(rng, picture(32, 32), noise=0.01) for _ in range(2))
+    same, doubled = measure(ours, reference), measure(ours * np.float32(2), reference)
+    assert [decide(each, tests=6).verdict for each in (same, doubled)] == ["EQUIVALENT", "BIASED"]
+    wrong = [decide(each, tests=6, kind="wrong").verdict for each in (same, doubled)]
+    assert wrong == ["AS PREDICTED", "NOT AS PREDICTED"]
+
+
+def test_a_proven_bias_inside_the_margin_is_still_a_bias(rng, replicates, picture):
+    """+0.5 % at a standard error of 0.01 %: the interval lies inside ±1 %, and outside ±0.1 %."""
+    ours, reference = (replicates(rng, gain * picture(32, 32), noise=0.009) for gain in (1.005, 1.0))
+    statistics = measure(ours, reference)
+    assert decide(statistics, tests=6).verdict == "BIASED"
+    assert decide(statistics, tests=6, allowance=0.01, kernel=True).verdict == "EQUIVALENT"
+
+
+def test_kernel_rows_print_the_shape_without_judging_it(rng, replicates, picture):
+    mean = picture(32, 32)
+    ramp = np.where(np.arange(32) < 16, 1.01, 0.99)[None, :, None]
+    statistics = measure(*(replicates(rng, each, noise=0.01) for each in (mean * ramp, mean)))
+    assert decide(statistics, tests=6).verdict == "BIASED"
+    kernel = decide(statistics, tests=6, kernel=True, allowance=0.02)
+    assert kernel.verdict == "EQUIVALENT"
+    assert any("printed, not judged" in warning for warning in kernel.warnings)
+
+
+def test_objects_are_judged_by_name(rng, replicates, picture):
+    """A gain of 5 % on an object of 36 px, which the image's mean cannot see."""
+    mean = picture(64, 64)
+    objects = np.full((64, 64), -1, dtype=np.int32)
+    objects[40:46, 20:26] = 1
+    field = np.where(objects == 1, 1.05, 1.0)[..., None]
+    ours, reference = (replicates(rng, each, noise=0.02) for each in (mean * field, mean))
+    verdict = judge(ours, reference, objects=objects, object_names=("floor", "lamp"))
+    assert verdict.verdict == "BIASED"
+    assert any(reason.startswith("mean of lamp, ") for reason in verdict.reasons)
+    assert verdict.tests == 3 * 2 + 3
+    lamp = next(region for region in verdict.regions if (region.region, region.channel) == ("lamp", "green"))
+    assert lamp.low < 0.05 < lamp.high
+
+
+# Zeros and floors.
+
+
+def test_absent_needs_exact_zeros_on_both_sides():
+    zeros = np.zeros((4, 20, 20, 3))
+    verdict = judge(zeros, zeros)
+    assert verdict.verdict == "ABSENT"
+    assert verdict.tests is None
+    assert measure(zeros, zeros).tests == 0
+    named = decide(measure(zeros, zeros, scale=2.0), tests=0, reason="no light in the scene")
+    assert "no light in the scene" in named.sentence
+    almost = zeros.copy()
+    almost[2, 3, 4, 1] = 1e-30
+    assert judge(almost, zeros).verdict != "ABSENT"
+    assert judge(zeros, almost[2:3], exact=True).verdict != "ABSENT"
+
+
+def test_zero_reference_tolerates_nothing_that_is_proven(rng):
+    """A stray 0.05 % of the total, below what is tolerated elsewhere, is BIASED where nothing should be."""
+    zeros = np.zeros((16, 16, 16, 3))
+    stray = np.abs(rng.normal(5e-4, 1e-4, zeros.shape))
+    assert decide(measure(stray, zeros, scale=1.0), tests=6).verdict == "BIASED"
+    assert judge(stray, zeros).bias == pytest.approx(1.0)
+    # One photon in one replicate proves nothing (t = 1), and is far below the margin of the total.
+    once = zeros.copy()
+    once[3, 4, 4] = 1e-3
+    assert decide(measure(once, zeros, scale=1.0), tests=6).verdict == "EQUIVALENT"
+
+
+def test_noise_free_rows_are_judged_by_the_floors():
+    """Equal replicates of a constant: an error of 1e-7 is rounding, 1 % is not, and no number is NaN."""
+    constant = np.full((4, 16, 16, 3), 0.5)
+    assert judge(constant, constant).verdict == "EQUIVALENT"
+    assert judge(constant * (1 + 1e-7), constant[:1], exact=True).verdict == "EQUIVALENT"
+    verdict = judge(constant * 1.01, constant)
+    assert verdict.verdict == "BIASED"
+    assert any("taken as free of noise" in warning for warning in verdict.warnings)
+    assert "NaN" not in json.dumps(verdict.row())
+
+
+# Input that is no estimate.
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+def test_values_that_are_not_finite_are_a_bias(pair, value):
+    ours, reference = pair[0].astype(np.float64), pair[1]
+    ours[5, 20, 7, 2] = value
+    verdict = judge(ours, reference)
+    assert verdict.verdict == "BIASED"
+    assert verdict.reasons[0].startswith("1 values not finite, 0 negative, the first: blue is")
+    assert "in replicate 5" in verdict.reasons[0]
+    assert verdict.place == "x 7, y 20"
+    assert "NaN" not in json.dumps(verdict.row()), "the rest is measured all the same"
+
+
+def test_negative_values_are_a_bias_for_every_kind(pair):
+    ours = pair[0].copy()
+    ours[:, 0, 0, 0] = -1e-6
+    statistics = measure(ours, pair[1])
+    assert (statistics.negative, statistics.non_finite) == (16, 0)
+    assert decide(statistics, tests=6).verdict == "BIASED"
+    assert decide(statistics, tests=6, kind="wrong", kernel=True).verdict == "NOT AS PREDICTED"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -0.5])
+def test_a_broken_reference_is_refused(pair, value):
+    pair[1][2, 3, 4, 0] = value
+    with pytest.raises(ValueError, match=r"^reference\[2\]: red is .* at x 4, y 3; a reference is finite"):
+        measure(*pair)
+
+
+def test_equal_replicates_are_refused(pair):
+    ours, reference = pair
+    twice = ours.copy()
+    twice[9] = twice[2]
+    with pytest.raises(ValueError, match=r"ours\[2\] and ours\[9\] are the same image: equal seeds"):
+        measure(twice, reference)
+    with pytest.raises(ValueError, match=r"a.exr and j.exr are the same"):
+        judge(twice[2:], reference, names=["a.exr", *"bcdefg", "j.exr"])
+    with pytest.raises(ValueError, match=r"ours\[0\] and reference\[0\] are the same"):
+        measure(ours, ours)
+    with pytest.raises(ValueError, match=r"ours\[7\] and reference\[0\] are the same"):
+        measure(ours, ours[7:8], exact=True)
+
+
+def test_equal_replicates_by_chance_are_a_warning(rng):
+    """Two pixels that flip between two values: of 16 images many must be equal, and no seed is."""
+    ours, reference = np.ones((2, 16, 12, 12, 3))
+    for images in (ours, reference):
+        images[:, :2, 0] += rng.integers(0, 2, (16, 2, 1))
+    assert any("possible by chance" in warning for warning in measure(ours, reference).warnings)
+
+
+def test_few_replicates(pair):
+    ours, reference = pair
+    for arguments, message in (
+        ((ours[:3], reference), "ours: 3 replicates; at least 4"),
+        ((ours, reference[:3]), "reference: 3 replicates"),
+        ((ours, reference[:1]), "reference: 1 replicates; .* exact"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            measure(*arguments)
+    with pytest.raises(ValueError, match="an exact reference is one image"):
+        measure(ours, reference, exact=True)
+    assert any(
+        warning.startswith("8 replicates of ours") for warning in measure(ours[:8], reference).warnings
+    )
+    assert measure(ours, reference).warnings == ()
+    assert "taken as exact" in judge(ours, reference[0].mean(axis=0) + 0 * reference[0], exact=True).sentence
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"ours": np.ones((4, 8, 9, 3))},
+            r"ours: images of shape \(8, 9, 3\), but the reference's are \(8, 8, 3\)",
+        ),
+        ({"ours": np.ones((4, 8, 8))}, r"ours: shape \(4, 8, 8\); allowed"),
+        ({"ours": np.ones((4, 8, 8, 4))}, "ours: shape"),
+        ({"ours": np.ones((4, 0, 8, 3))}, "ours: shape"),
+        ({"ours": np.ones((4, 8, 8, 3), dtype=np.uint8)}, "ours: dtype uint8"),
+        ({"objects": np.zeros((8, 9), dtype=int)}, "objects: int64"),
+        ({"objects": np.zeros((8, 8))}, "objects: float64"),
+        ({"scale": 0.0}, "scale is 0.0"),
+        ({"scale": np.nan}, "scale is nan"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    arguments = {"ours": np.ones((4, 8, 8, 3)), "reference": np.ones((4, 8, 8, 3))} | change
+    with pytest.raises(ValueError, match=message):
+        measure(**arguments)
+
+
+def test_judge_takes_lists_of_images_and_names_the_one_that_differs():
+    images = [np.full((8, 8, 3), 0.5, dtype=np.float32) for _ in range(4)]
+    assert judge(images, images[0], exact=True).verdict == "EQUIVALENT"
+    with pytest.raises(ValueError, match=r"c.exr: shape \(9, 8, 3\) differs from \(8, 8, 3\) of a.exr"):
+        judge([*images[:2], np.ones((9, 8, 3)), images[3]], images, names=["a.exr", "b.exr", "c.exr"])
+    with pytest.raises(ValueError, match="ours: shape"):
+        judge([], images)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"kind": "odd"}, {"tests": 5}, {"margin": 0.0}, {"allowance": -0.1}, {"margin": np.nan}, {"samples": 0}],
+)
+def test_bad_options_are_refused(pair, options):
+    with pytest.raises(ValueError, match=next(iter(options))):
+        decide(measure(*pair), **{"tests": 6, **options})
+
+
+# What is reported.
+
+
+def test_rows_that_are_not_judged_have_numbers_but_no_word(pair):
+    verdict = decide(measure(pair[0] * np.float32(1.5), pair[1]), tests=600, judged=False, predicted_bias=0.5)
+    assert verdict.verdict is None
+    assert (verdict.family_low, verdict.detectable_bias, verdict.tests) == (None, None, None)
+    assert verdict.bias_low < 0.5 < verdict.bias_high
+    assert "predicted +50.00%" in verdict.sentence
+
+
+def test_a_smaller_level_means_a_wider_interval_and_a_larger_detectable_bias(pair):
+    few, many = (decide(measure(*pair), tests=tests).row() for tests in (6, 6000))
+    ends = [
+        many["family_low"],
+        few["family_low"],
+        few["bias_low"],
+        few["bias"],
+        few["bias_high"],
+        few["family_high"],
+    ]
+    assert ends == sorted(ends)
+    assert many["detectable_bias"] > few["detectable_bias"] > 0.001
+    assert "5%/6000" in many["sentence"]
+
+
+def test_the_row_is_plain_json(pair):
+    verdict = decide(measure(*pair), tests=6, samples=16, seconds=2.5)
+    assert json.loads(json.dumps(verdict.row()))["verdict"] == verdict.verdict
+    assert {field.name for field in attrs.fields(type(verdict))} == set(verdict.row())
+
+
+def test_margins_of_wrong_variants():
+    assert margin_of("right", 1.0, 1.0) == 0.01
+    assert margin_of("wrong", 1.0, 2.0) == 0.01
+    assert margin_of("wrong", 2.0, 1.7) == pytest.approx(0.0075)
+    assert margin_of("wrong", 1.0, 1.01) == 0.005
+    assert margin_of("wrong", 0.0, 1.0) == 0.01
+
+
+# Reading.
+
+
+def test_bands_and_memory_maps_change_nothing(tmp_path, rng, replicates, picture, monkeypatch):
+    """Three bands and a memory map give what one band of an array gives; borders cut tiles of every size."""
+    ours, reference = (replicates(rng, picture(75, 45), count=6) for _ in range(2))
+    objects = rng.integers(-1, 3, (75, 45))
+    whole = decide(measure(ours, reference, objects=objects), tests=600)
+    np.save(tmp_path / "ours.npy", ours)
+    monkeypatch.setattr(reports.verdict, "BAND_BYTES", 1)
+    banded = measure(np.load(tmp_path / "ours.npy", mmap_mode="r"), reference, objects=objects)
+    found, expected = decide(banded, tests=600).row(), whole.row()
+    numbers = ["bias", "bias_low", "standard_error", "rms_bias", "rms_bias_high", "detectable_bias"]
+    np.testing.assert_allclose([found[key] for key in numbers], [expected[key] for key in numbers], rtol=1e-9)
+    assert found["tile"] == expected["tile"]
+    np.testing.assert_allclose(
+        [region["bias"] for region in found["regions"]],
+        [region["bias"] for region in expected["regions"]],
+        rtol=1e-9,
+    )
+
+
+def test_tiles_cover_the_image_once(rng, replicates, picture):
+    """The image's mean is the area-weighted mean of the tiles of any size."""
+    statistics = measure(*(replicates(rng, picture(37, 50), count=5) for _ in range(2)))
+    for side, tiles in statistics.tiles.items():
+        edges = [np.diff(np.append(np.arange(0, length, side), length)) for length in (37, 50)]
+        area = np.outer(*edges)
+        assert tiles.bias.shape == area.shape
+        assert np.average(tiles.ours, weights=area) == pytest.approx(float(statistics.luminance.ours))
+
+
+def test_p_values_leave_out_what_does_not_vary(rng, replicates, picture):
+    mean = picture(32, 32)
+    mean[:16, :16] = 0.0
+    p = measure(*(replicates(rng, mean) for _ in range(2))).tiles[16].p_values()
+    assert np.isnan(p[0, 0])
+    assert np.count_nonzero(np.isnan(p)) == 1
