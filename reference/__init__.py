@@ -3,7 +3,6 @@
 Importing this package is cheap; Mitsuba is imported by the functions that render.
 """
 
-import functools
 import hashlib
 import tempfile
 import time
@@ -77,10 +76,7 @@ def replicate_parts(
     if spp < 1:
         raise ValueError(f"spp = {spp}: allowed is at least 1")
     here = loaded(scene)
-    from reference.wavefront import pixel_means
-
-    estimate = here.estimator(attrs.asdict(limit))
-    images = pixel_means(estimate, here.description["camera"], spp=spp, seed=rng_seed(limit, seed, replicate))
+    images = here.render(attrs.asdict(limit), spp=spp, seed=rng_seed(limit, seed, replicate))
     return dict(zip(parts(limit), images.astype(np.float32), strict=True))
 
 
@@ -123,13 +119,22 @@ def rng_seed(limit: Limit, seed: int, replicate: int) -> int:
     return (int.from_bytes(digest[:4], "little") + replicate * PASSES) % 2**32
 
 
-@functools.lru_cache(maxsize=1)
 def loaded(scene: Scene) -> Any:
-    """Load a scene into Mitsuba: a `prepare.Loaded`, kept until another scene is asked for."""
-    from reference.backend import import_mitsuba
+    """Load a scene into Mitsuba: a `prepare.Loaded`, kept until another scene is asked for.
 
-    import_mitsuba()  # before the modules that subclass Mitsuba's plugins
-    from reference import prepare, translate
+    Only one is kept, because every material that exists is compiled into every kernel.
+    """
+    content = scene.digest(without=("name", "exposure", "photons", "scope"))
+    if content not in _loaded:
+        from reference.backend import import_mitsuba
 
-    with tempfile.TemporaryDirectory() as folder:
-        return prepare.Loaded(translate.describe(scene, Path(folder)), Path(folder))
+        import_mitsuba()  # before the modules that subclass Mitsuba's plugins
+        from reference import prepare, translate
+
+        _loaded.clear()
+        with tempfile.TemporaryDirectory() as folder:
+            _loaded[content] = prepare.Loaded(translate.describe(scene, Path(folder)), Path(folder))
+    return _loaded[content]
+
+
+_loaded: dict[str, Any] = {}

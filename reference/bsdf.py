@@ -1,19 +1,24 @@
 """Cook-Torrance: `f = k F(wi·wh) D(wh) G1(wi) G1(wo) / (4 mu_i mu_o)`.
 
 D is the normalised Beckmann distribution, `F = F0 + (1 - F0)(1 - wi·wh)^5` Schlick's, and G1 the exact Smith term
-`2 / (1 + erf(a) + exp(-a²) / (a √π))`, `a = 1 / (α tan θ)` (Walter et al., EGSR 2007). Mitsuba's `roughconductor` has neither
-Schlick's F nor the exact G1: its rational approximation is up to 0.3 % off.
+`2 / (1 + erf(a) + exp(-a²) / (a √π))`, `a = 1 / (α tan θ)` (Walter et al., EGSR 2007). Mitsuba's `roughconductor`
+has neither Schlick's F nor the exact G1: its rational approximation is up to 0.3 % off.
 """
+
+# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportAttributeAccessIssue=false
+# Mitsuba's stubs do not know the types of the variant in use.
 
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+TINY = 1e-20  # keeps divisions defined in lanes that are masked out afterwards
+
 
 def smith_g1(v: Any, alpha: Any) -> Any:
     """Masking of the Beckmann distribution in the local direction `v`."""
-    a = dr.rcp(alpha * mi.Frame3f.tan_theta(v))
+    a = dr.maximum(dr.rcp(dr.maximum(alpha * mi.Frame3f.tan_theta(v), TINY)), TINY)
     masked = 2.0 / (1.0 + dr.erf(a) + dr.exp(-a * a) / (a * dr.sqrt(dr.pi)))
     return dr.select(a < 10.0, masked, 1.0)  # exp and 1/a leave float32 there, where 1 - G1 < 1e-44
 
@@ -46,7 +51,12 @@ class CookTorrance(mi.BSDF):
         bs.sampled_type = mi.UInt32(+self.m_components[0])
         bs.sampled_component = 0
         bs.pdf = self.pdf(ctx, si, bs.wo, active)
-        active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (mi.Frame3f.cos_theta(bs.wo) > 0.0) & (bs.pdf > 0.0)
+        active = (
+            active
+            & (mi.Frame3f.cos_theta(si.wi) > 0.0)
+            & (mi.Frame3f.cos_theta(bs.wo) > 0.0)
+            & (bs.pdf > 0.0)
+        )
         weight = self._factor * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(bs.wo, self._alpha)
         return bs, dr.select(active, weight, 0.0)
 
@@ -63,7 +73,7 @@ class CookTorrance(mi.BSDF):
         mu_i, mu_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
         active = active & (mu_i > 0.0) & (mu_o > 0.0)
         wh = dr.normalize(si.wi + wo)
-        pdf = self._distribution().eval(wh) * smith_g1(si.wi, self._alpha) / (4.0 * mu_i)
+        pdf = self._distribution().eval(wh) * smith_g1(si.wi, self._alpha) / (4.0 * dr.maximum(mu_i, TINY))
         value = self._factor * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(wo, self._alpha) * pdf
         return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
 

@@ -1,7 +1,7 @@
 """A stand-alone Mitsuba script that renders a scene's references without Termwise, to the same bits.
 
-The folder holds the meshes (PLY), the sky (NPY), `references.json` with the scenes as Mitsuba dictionaries, the settings and the
-seeds, the sources of the plugins and integrators as the package `integrals`, and `render.py`.
+The folder holds the meshes (PLY), the sky (NPY), `references.json` with the scenes as Mitsuba dictionaries, the
+settings and the seeds, the sources of the plugins and integrators as the package `integrals`, and `render.py`.
 """
 
 import importlib.metadata
@@ -19,15 +19,15 @@ from scenes.limits import Limit
 from scenes.model import Scene
 from scenes.store import PROJECT
 
-SOURCES = ("wavefront.py", "prepare.py", "bsdf.py", "sky.py", "physical.py", "terms")
+SOURCES = ("wavefront.py", "prepare.py", "film.py", "bsdf.py", "sky.py", "physical.py", "terms")
 
 SCRIPT = '''\
 """Render the references that references.json lists: one float32 NPY file (H, W, 3) per replicate.
 
     python render.py [NAME ...]      needs only: pip install REQUIREMENTS
 
-The bits are those of the variant and versions named in references.json. `llvm_ad_rgb` needs LLVM 17 or newer
-(DRJIT_LIBLLVM_PATH names the library).
+The bits are those of the variant and versions named in references.json. `llvm_ad_rgb` needs an LLVM that Dr.Jit
+works with (19 does, 14 to 16 abort), which DRJIT_LIBLLVM_PATH names.
 """
 
 import json
@@ -42,14 +42,13 @@ references = json.loads((here / "references.json").read_text())
 mi.set_variant(references["variant"])
 
 sys.path.insert(0, str(here))
-from integrals import prepare, wavefront  # noqa: E402  their classes need the variant
+from integrals import prepare  # noqa: E402  their classes need the variant
 
 loaded = prepare.Loaded(references["scene"], here)
 for name in sys.argv[1:] or references["renders"]:
     render = references["renders"][name]
-    estimate = loaded.estimator(render["limit"])
     for number, seed in enumerate(render["seeds"]):
-        images = wavefront.pixel_means(estimate, loaded.description["camera"], spp=render["spp"], seed=seed)
+        images = loaded.render(render["limit"], spp=render["spp"], seed=seed)
         image = images[render["part"]].astype(np.float32)
         if render["factor"] != 1.0:
             image = image * np.float32(render["factor"])
@@ -82,7 +81,9 @@ def export(
     renders = {}
     for name, limit in limits.items():
         served = reference.shared(scene, limit)
-        loaded.estimator(attrs.asdict(served))  # finds the path depth, which the description then holds
+        loaded.render(
+            attrs.asdict(served), spp=1, seed=0
+        )  # finds the path depth, which the description then holds
         renders[name] = {
             "limit": attrs.asdict(served),
             "part": reference.parts(served).index(limit.term),
@@ -101,7 +102,9 @@ def export(
             copy = shutil.copytree if path.is_dir() else shutil.copyfile
             copy(path, written / "integrals" / source)
         shutil.rmtree(written / "integrals" / "terms" / "__pycache__", ignore_errors=True)
-        (written / "integrals" / "__init__.py").write_text('"""Sources of the references\' plugins and integrators."""\n')
+        (written / "integrals" / "__init__.py").write_text(
+            '"""Sources of the references\' plugins and integrators."""\n'
+        )
         references = {
             "variant": backend.active().variant,
             "versions": versions,

@@ -3,7 +3,7 @@
 Both sides must agree on these before any radiance is compared.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,9 +32,15 @@ class Geometry(NamedTuple):
 def geometry(scene: Scene) -> Geometry:
     """First hits of the rays through the pixel centres, by Mitsuba."""
     width, height = scene.resolution
-    film = np.stack(np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height), axis=-1)
+    film = np.stack(
+        np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height), axis=-1
+    )
     directions = scene.camera.rays(film, aspect=scene.aspect)
-    hits = first_hits(scene, np.broadcast_to(scene.camera.position, directions.shape).reshape(-1, 3), directions.reshape(-1, 3))
+    hits = first_hits(
+        scene,
+        np.broadcast_to(scene.camera.position, directions.shape).reshape(-1, 3),
+        directions.reshape(-1, 3),
+    )
     return Geometry(*(array.reshape(height, width, *array.shape[1:]) for array in hits))
 
 
@@ -43,17 +49,44 @@ def first_hits(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> Geo
     loaded = reference.loaded(scene)
     import mitsuba as mi
 
-    mitsuba_scene = loaded.scenes["diffuse"]
     canonical = Canonical.of(scene)
-    ray = mi.Ray3f(mi.Point3f(canonical.points(origins).T), mi.Vector3f(np.asarray(directions).T))
-    si = mitsuba_scene.ray_intersect(ray)
-    hit = np.array(si.is_valid())
-    number = np.full(len(hit), -1, np.int32)
-    for index, shape in enumerate(mitsuba_scene.shapes()):
-        number[np.array(si.shape == mi.ShapePtr(shape)) & hit] = index
+    points, vectors = canonical.points(origins), np.asarray(directions, np.float64)
+    intersect = _all_at_once if mi.variant() != "scalar_rgb" else _one_by_one
+    depth, normal, thing, face = intersect(loaded.scenes["diffuse"], points, vectors)
+    hit = thing >= 0
     return Geometry(
-        depth=np.where(hit, np.array(si.t) / canonical.scale, np.inf).astype(np.float32),
-        normal=np.where(hit[:, None], np.array(si.n).T, 0.0).astype(np.float32),
-        object=number,
-        face=np.where(hit, np.array(si.prim_index).astype(np.int32), -1),
+        depth=np.where(hit, depth / canonical.scale, np.inf).astype(np.float32),
+        normal=np.where(hit[:, None], normal, 0.0).astype(np.float32),
+        object=thing.astype(np.int32),
+        face=np.where(hit, face, -1).astype(np.int32),
+    )
+
+
+_Hits = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _all_at_once(scene: Any, points: np.ndarray, vectors: np.ndarray) -> _Hits:
+    import mitsuba as mi
+
+    si = scene.ray_intersect(mi.Ray3f(mi.Point3f(points.T), mi.Vector3f(vectors.T)))
+    hit = np.array(si.is_valid())
+    thing = np.full(len(hit), -1)
+    for index, shape in enumerate(scene.shapes()):
+        thing[np.array(si.shape == mi.ShapePtr(shape)) & hit] = index
+    return np.array(si.t), np.array(si.n).T, thing, np.array(si.prim_index).astype(np.int64)
+
+
+def _one_by_one(scene: Any, points: np.ndarray, vectors: np.ndarray) -> _Hits:
+    import mitsuba as mi
+
+    shapes = scene.shapes()
+    hits = [
+        scene.ray_intersect(mi.Ray3f(mi.Point3f(point), mi.Vector3f(vector)))
+        for point, vector in zip(points.tolist(), vectors.tolist(), strict=True)
+    ]
+    return (
+        np.array([si.t for si in hits]),
+        np.array([list(si.n) for si in hits]),
+        np.array([shapes.index(si.shape) if si.is_valid() else -1 for si in hits]),
+        np.array([si.prim_index for si in hits], np.int64),
     )

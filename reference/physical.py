@@ -1,10 +1,13 @@
 """Full light transport, split by the lobe sampled at the camera vertex and by where the path ends.
 
-    specular: specular lobe first.    ambient: diffuse lobe first, ends on the sky.    direct: diffuse lobe first, ends on a light.
+- ambient: diffuse lobe first, and the path ends on the sky;
+- direct: diffuse lobe first, and it ends on a light;
+- specular: specular lobe first.
 
-Light is linear, so "ends on" is a scene with that light alone. At the camera vertex one lobe is lit by light sampling and
-lobe sampling with the power heuristic (Veach 1997); what the lobe's direction meets is lit by Mitsuba's `path`. All
-lights are visible to every lobe, the ambient light L_a0 does not exist, and the parts add up to plain `path`.
+Light is linear, so "ends on" is a scene with that light alone. At the camera vertex one lobe is lit by light
+sampling and lobe sampling with the power heuristic (Veach 1997); what the lobe's direction meets is lit by
+Mitsuba's `path`. All lights are visible to every lobe, the ambient light L_a0 does not exist, and the parts add up
+to plain `path`.
 """
 
 from typing import Any
@@ -13,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .terms import direct
-from .wavefront import Estimator, Samples
+from .wavefront import Estimator, Samples, idle
 
 PARTS = (("diffuse", "physical-sky"), ("diffuse", "physical-lights"), ("specular", "physical"))
 
@@ -45,6 +48,8 @@ def _camera_vertex(lobe_scene: Any, lit_scene: Any, samples: Samples) -> tuple[A
     sampler, context = samples.sampler, mi.BSDFContext()
     si = lobe_scene.ray_intersect(samples.ray)
     active = si.is_valid()
+    if idle(active):
+        return mi.Color3f(0.0), mi.Color3f(0.0), samples.ray, active
     bsdf = si.bsdf()
 
     ds, light = lit_scene.sample_emitter_direction(si, sampler.next_2d(active), True, active)
@@ -60,12 +65,13 @@ def _camera_vertex(lobe_scene: Any, lit_scene: Any, samples: Samples) -> tuple[A
     met = lit_scene.ray_intersect(ray, active)
     emitter = met.emitter(lit_scene, active)
     shining = active & (emitter != None)  # noqa: E711  a lane-wise comparison of pointers
-    chance = lit_scene.pdf_emitter_direction(si, mi.DirectionSample3f(lit_scene, met, si), shining)
-    share = _power_heuristic(bs.pdf, chance)
-    color += dr.select(shining, weight * emitter.eval(met, shining) * share, 0.0)
+    if not idle(shining):
+        chance = lit_scene.pdf_emitter_direction(si, mi.DirectionSample3f(lit_scene, met, si), shining)
+        share = _power_heuristic(bs.pdf, chance)
+        color += dr.select(shining, weight * emitter.eval(met, shining) * share, 0.0)
     return color, weight, ray, active
 
 
 def _power_heuristic(a: Any, b: Any) -> Any:
-    share = a * a / (a * a + b * b)
-    return dr.select(dr.isfinite(share), share, 0.0)
+    ratio = b / dr.maximum(a, 1e-20)
+    return dr.select(a > 0.0, dr.rcp(1.0 + ratio * ratio), 0.0)

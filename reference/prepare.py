@@ -4,10 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 
-from . import bsdf, physical, sky
+from . import bsdf, film, physical, sky
 from .terms import ambient, background, direct, specular
-from .wavefront import Estimator
+from .wavefront import Estimator, pixel_means
 
 _ESTIMATORS = {
     "ambient": ambient.estimator,
@@ -51,6 +52,12 @@ class Loaded:
         if limit["transport"] == "physical" and limit["term"] != "background":
             return physical.estimator(self, limit)
         return _ESTIMATORS[limit["term"]](self, limit)
+
+    def render(self, limit: dict[str, Any], *, spp: int, seed: int) -> np.ndarray:
+        """Mean images of a limit's parts, (P, H, W, 3) float64; see `wavefront.pixel_means`."""
+        if film.serves(self, limit):
+            return film.render(self, limit, spp=spp, seed=seed)
+        return pixel_means(self.estimator(limit), self.description["camera"], spp=spp, seed=seed)
 
 
 def _with_paths(value: Any, folder: Path) -> Any:

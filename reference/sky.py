@@ -1,6 +1,11 @@
-"""The paper's sky: a ray that misses is intersected with a sphere, and n, the unit vector from its centre to the farther hit,
-looks the texture up at `u = atan2(n.x, n.y) / (2π) + 1/2, v = 1/2 - n.z / 2`, bilinearly, u repeating, v clamped.
+"""The paper's sky: `u = atan2(n.x, n.y) / (2π) + 1/2, v = 1/2 - n.z / 2`.
+
+A ray that misses is intersected with a sphere; n, the unit vector from its centre to the farther hit, looks the
+texture up, bilinearly, u repeating and v clamped. Without a texture the sky is one colour.
 """
+
+# pyright: reportCallIssue=false
+# Mitsuba's stubs do not know the types of the variant in use.
 
 from typing import Any
 

@@ -7,6 +7,7 @@ whole or not at all; a file that is missing, cut short or altered is rendered ag
 import hashlib
 import importlib.metadata
 import json
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -59,8 +60,11 @@ def replicates(
     count: int,
     folder: Path,
     progress: Callable[[], object] | None = None,
+    budget_s: float = 60.0,
 ) -> Replicates:
     """Take `count` replicates from `folder`; render and keep those that it lacks.
+
+    Without a vectorising backend only what `budget_s` allows is rendered, and `shortfall` says so.
 
     Parameters
     ----------
@@ -68,15 +72,56 @@ def replicates(
     count : number of replicates.
     folder : folder of the cache; made if missing.
     progress : called after each replicate.
+    budget_s : seconds that the replicates of one render may take on `scalar_rgb`; estimated from one replicate of
+        one sample a pixel, which is kept, so that a second run makes the same choice.
     """
+    asked = spp, count
+    shortfall = None
+    if _variant() == "scalar_rgb":
+        pilot = _take(scene, limit, 1, seed, 1, folder, None)
+        terms = reference.parts(reference.shared(scene, limit))
+        spp, count = affordable(spp, count, pilot.seconds[0] * len(terms), budget_s)
+        if (spp, count) != asked:
+            shortfall = (
+                f"scalar_rgb renders {count} of {asked[1]} replicates at {spp} of {asked[0]} samples a pixel "
+                f"in {budget_s:g} s; no faster backend: {backend.choose().reason}"
+            )
+    return _take(scene, limit, spp, seed, count, folder, progress)._replace(shortfall=shortfall)
+
+
+def affordable(spp: int, count: int, seconds_per_sample: float, budget_s: float) -> tuple[int, int]:
+    """Samples a pixel and replicates within a budget: fewer samples first (a power of two), then fewer replicates.
+
+    At least one sample and two replicates, below which nothing can be said of the noise.
+    """
+    samples = budget_s / seconds_per_sample
+    if samples >= spp * count:
+        return spp, count
+    fewer = 2 ** max(0, math.floor(math.log2(max(1.0, samples / count))))
+    return fewer, min(count, max(2, int(samples / fewer)))
+
+
+def _take(
+    scene: Scene,
+    limit: Limit,
+    spp: int,
+    seed: int,
+    count: int,
+    folder: Path,
+    progress: Callable[[], object] | None,
+) -> Replicates:
     served = reference.shared(scene, limit)
-    keys = {term: key(scene, attrs.evolve(served, term=term), spp=spp, seed=seed) for term in reference.parts(served)}
+    keys: dict[Term, str] = {
+        term: key(scene, attrs.evolve(served, term=term), spp=spp, seed=seed)
+        for term in reference.parts(served)
+    }
     images, seconds = [], []
     for number in range(count):
         path = _path(folder, keys[limit.term], number)
         kept = _read(path, scene.resolution)
         if kept is None:
-            _render(scene, served, spp, seed, number, {term: _path(folder, keys[term], number) for term in keys})
+            paths: dict[Term, Path] = {term: _path(folder, name, number) for term, name in keys.items()}
+            _render(scene, served, spp, seed, number, paths)
             kept = _read(path, scene.resolution)
             assert kept is not None, path
         images.append(reference.scaled(kept[0], limit))
@@ -92,13 +137,16 @@ def key(scene: Scene, limit: Limit, *, spp: int, seed: int) -> str:
         irrelevant = ("ambient", "max_bounces", "draw_lights")
     else:
         irrelevant = _IRRELEVANT[limit.term]
-    # `choose` does not import Mitsuba: a run that finds all replicates here never loads it.
-    variant = (backend.active() if "mitsuba" in sys.modules else backend.choose()).variant
     versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit")]
     sources = sources_digest(PROJECT / "reference", PROJECT / "scenes")
     content = scene.digest(without=_ALWAYS_IRRELEVANT + irrelevant)
-    settings = repr((content, attrs.astuple(limit), spp, seed, variant, versions, sources))
+    settings = repr((content, attrs.astuple(limit), spp, seed, _variant(), versions, sources))
     return hashlib.sha256(settings.encode()).hexdigest()
+
+
+def _variant() -> str:
+    # `choose` does not import Mitsuba: a run that finds all replicates here never loads it.
+    return (backend.active() if "mitsuba" in sys.modules else backend.choose()).variant
 
 
 def _render(scene: Scene, limit: Limit, spp: int, seed: int, number: int, paths: dict[Term, Path]) -> None:

@@ -5,8 +5,8 @@ scene of size 1e-3 or 1e3 away from the origin. So every scene is centred and sc
 bounding box of 50 to 100 units. Radiance does not change under scaling; the intensity of a point light scales
 with the square of the scale.
 
-`describe` returns plain numbers, strings and lists only, with meshes and textures as files beside it: what is rendered here
-is what `reference.export` writes out.
+`describe` returns plain numbers, strings and lists only, with meshes and textures as files beside it: what is
+rendered here is what `reference.export` writes out.
 """
 
 import math

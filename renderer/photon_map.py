@@ -205,7 +205,8 @@ def build(
     start = np.zeros(nx * ny * nz + 1, np.int64)
     order = np.empty(len(position), np.int64)
     corner = Vec3(float(low[0]), float(low[1]), float(low[2]))
-    _sort(position, corner, cell, nx, ny, nz, start, order)
+    if len(position):  # an empty map compiles nothing
+        _sort(position, corner, cell, nx, ny, nz, start, order)
     return PhotonMap(
         position=position[order],
         direction=direction[order],

@@ -68,7 +68,7 @@ def plan(scene: Scene, variants: dict[Term, Variant], *, chain: Chain = "next-ev
         variant = variants[term]
         steps.append(
             Step(
-                term, f"kernel {variant.name}", reason is None, reason or f"estimates {variant.converges_to}"
+                term, f"kernel {variant.name}", reason is None, reason or "the scene has this term"
             )
         )
         if term == "ambient":

@@ -74,33 +74,38 @@ def cell(
     `progress` is called after each replicate.
     """
     name = key(engine.scene, variant, samples=samples, seed=seed, chain=chain)
+    prefixes = powers_of_two(samples)
+    width, height = engine.scene.resolution
     before = engine.compile_seconds
     images, seconds = [], []
     for replicate in range(replicates):
         path = folder / name[:2] / f"{name}-{replicate:04d}.npz"
-        kept = _read(path)
+        kept = _read(path, (len(prefixes), height, width, 3))
         if kept is None:
-            steps = list(engine.prefixes(variant, samples=samples, seed=seed, replicate=replicate, chain=chain))
+            steps = list(
+                engine.prefixes(variant, samples=samples, seed=seed, replicate=replicate, chain=chain)
+            )
             kept = (
                 np.stack([image for _, image, _ in steps]).astype(np.float32),
                 np.array([spent for _, _, spent in steps]),
             )
-            write_atomically(path, lambda temporary, kept=kept: np.savez(temporary, images=kept[0], seconds=kept[1]))
+            write_atomically(
+                path, lambda temporary, kept=kept: np.savez(temporary, images=kept[0], seconds=kept[1])
+            )
         images.append(kept[0])
         seconds.append(kept[1])
         progress()
-    return Cell(
-        variant, powers_of_two(samples), np.stack(images), np.stack(seconds), engine.compile_seconds - before
-    )
+    return Cell(variant, prefixes, np.stack(images), np.stack(seconds), engine.compile_seconds - before)
 
 
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
+def _read(path: Path, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] | None:
     """Images and seconds of a kept replicate; None where the file is missing or damaged (NPZ has checksums)."""
     try:
         with np.load(path) as arrays:
-            return arrays["images"], arrays["seconds"]
+            images, seconds = arrays["images"], arrays["seconds"]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
+    return (images, seconds) if (images.shape, seconds.shape) == (shape, shape[:1]) else None
 
 
 def describe(scene: Scene, variant: Variant, chain: Chain) -> dict[str, object]:

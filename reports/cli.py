@@ -1,9 +1,10 @@
 """The command `termwise`: compare, judge, render, reference, plan, scenes.
 
-Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`); 2: bad input, or a run that could not
-end. With --json one object goes to standard output, all else to standard error.
+Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`); 2: bad input, or a run that
+could not end. With --json one object goes to standard output, all else to standard error.
 """
 
+import importlib.metadata
 import json
 import sys
 from pathlib import Path
@@ -20,7 +21,7 @@ from rich.table import Table
 from scenes.load import library, load
 from scenes.terms import TERMS
 
-_messages = Console(stderr=True)
+_messages = Console(stderr=True, soft_wrap=True)
 _output = Console()
 
 app = cyclopts.App(
@@ -28,6 +29,7 @@ app = cyclopts.App(
     help="The rendering equation term by term: is an estimator biased, by how much, where, and how sure are you?",
     error_console=_messages,
     error_formatter=lambda error: f"termwise: {' '.join(str(error).split())}",
+    version=lambda: importlib.metadata.version("termwise"),
     print_error=True,
     exit_on_error=False,
 )
@@ -64,7 +66,7 @@ def compare(
     mitsuba = _choose_backend(backend)
     chosen = studies.load(study)
     prepared = run.scenes_of(chosen, scenes)
-    folder = out / "compare"
+    folder = _folder(out / "compare")
     results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
     if results is None:
         with _progress() as bar:
@@ -175,6 +177,8 @@ def render(
     import renderer
 
     described = _scene(scene, resolution)
+    _check_seed(seed)
+    folder = _folder(out / "render")
     terms = TERMS if term is None else (term,)
     if term is None and variant is not None:
         raise ValueError(f"variant = {variant!r}: allowed is a variant of one term; give --term too")
@@ -191,7 +195,7 @@ def render(
         for each in terms
     }
     settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": variant or "default"}
-    return _write_images(described, found, out / "render", settings, json_)
+    return _write_images(described, found, folder, settings, json_)
 
 
 @app.command
@@ -241,6 +245,7 @@ def reference(
 
     _choose_backend(backend)
     described = _scene(scene, resolution)
+    _check_seed(seed)
     if term is not None and term not in TERMS:
         raise ValueError(f"term = {term!r}: allowed are {', '.join(TERMS)}")
     wanted = {
@@ -251,14 +256,21 @@ def reference(
     if export is not None:
         from reference.export import export as write
 
-        for limit in wanted.values():
-            _messages.print(f"Wrote {write(described, limit, export, spp=spp, seed=seed, replicates=replicates)}")
+        write(described, dict(wanted), export, spp=spp, seed=seed, replicates=replicates)
+        script = export / "render.py"
+        if json_:
+            print(json.dumps({"scene": described.name, "script": str(script)}))
+        else:
+            _output.print(f"Wrote {script}", soft_wrap=True, highlight=False)
         return 0
+    folder = _folder(out / "reference")
     found = {
         each: mitsuba.render(described, limit, spp=spp, seed=seed, replicates=replicates)
         for each, limit in wanted.items()
     }
-    return _write_images(described, found, out / "reference", {"spp": spp, "replicates": replicates, "seed": seed}, json_)
+    return _write_images(
+        described, found, folder, {"spp": spp, "replicates": replicates, "seed": seed}, json_
+    )
 
 
 @app.command
@@ -348,11 +360,23 @@ def _scene(name: str, resolution: tuple[int, int] | None) -> Any:
     return scene if resolution is None else attrs.evolve(scene, resolution=resolution)
 
 
+def _check_seed(seed: int) -> None:
+    if not 0 <= seed < 2**31:
+        raise ValueError(f"seed = {seed}: allowed is an integer in [0, {2**31 - 1}]")
+
+
+def _folder(path: Path) -> Path:
+    """Make a folder for results before the work starts that is to go there."""
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
 def _read(path: Path, part: str | None) -> np.ndarray:
     from reports.images import read_exr
 
     if not path.is_file():
-        raise ValueError(f"{path}: no such file: allowed are OpenEXR images")
+        found = "is a folder" if path.is_dir() else "no such file"
+        raise ValueError(f"{path}: {found}: allowed are OpenEXR images")
     parts = read_exr(path)
     if part is None and len(parts) == 1:
         return next(iter(parts.values()))
@@ -361,7 +385,9 @@ def _read(path: Path, part: str | None) -> np.ndarray:
     return parts[part]
 
 
-def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dict[str, Any], as_json: bool) -> int:
+def _write_images(
+    scene: Any, found: dict[str, Any], folder: Path, settings: dict[str, Any], as_json: bool
+) -> int:
     """Write term images and their sum; report means and seconds."""
     from reports.images import write_exr
     from reports.page.pictures import write_png
@@ -372,7 +398,12 @@ def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dic
         parts["total"] = total(*(parts[term] for term in TERMS))
     shown = "total" if "total" in parts else next(iter(parts))
     exr, png = folder / f"{scene.name}.exr", folder / f"{scene.name}.{shown}.png"
-    header = {"software": "termwise", "scene": scene.name, "digest": scene.digest(), "settings": json.dumps(settings)}
+    header = {
+        "software": "termwise",
+        "scene": scene.name,
+        "digest": scene.digest(),
+        "settings": json.dumps(settings),
+    }
     write_exr(exr, parts, header)
     write_png(png, parts[shown], exposure=scene.exposure)
     rows = {
@@ -380,7 +411,11 @@ def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dic
         for term, image in found.items()
     }
     if as_json:
-        print(json.dumps({"scene": scene.name, "settings": settings, "terms": rows, "files": [str(exr), str(png)]}))
+        print(
+            json.dumps(
+                {"scene": scene.name, "settings": settings, "terms": rows, "files": [str(exr), str(png)]}
+            )
+        )
         return 0
     table = Table("term", "mean radiance (R, G, B)", "seconds")
     for term, row in rows.items():
@@ -398,37 +433,39 @@ def _progress() -> Progress:
         TimeElapsedColumn(),
         console=_messages,
         transient=True,
+        disable=not _messages.is_terminal,
     )
 
 
 _COLOURS = {"EQUIVALENT": "green", "AS PREDICTED": "green", "BIASED": "red", "NOT AS PREDICTED": "red"}
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:+.2f} %"
-
-
 def _print_results(results: dict[str, Any]) -> None:
-    table = Table("scene", "term", "variant", "bias", "90 % interval", "RMSE", "SSIM", "seconds", "verdict")
-    for row in results["cells"]:
-        if row["against"] != "own" or row["verdict"] is None:
-            continue
-        absent = row["verdict"] == "ABSENT"
-        colour = _COLOURS.get(row["verdict"], "yellow" if not absent else "dim")
-        table.add_row(
-            row["scene"],
-            row["term"],
-            row["variant"],
-            "" if absent else _percent(row["bias"]),
-            "" if absent else f"{_percent(row['bias_low'])} to {_percent(row['bias_high'])}",
-            "" if absent else f"{row['rmse']:.4f}",
-            "" if row["ssim"] is None or absent else f"{row['ssim']:.3f}",
-            f"{row['seconds']:.1f}",
-            f"[{colour}]{row['verdict']}[/{colour}]",
+    judged = [row for row in results["cells"] if row["verdict"] is not None]
+    for scene in results["settings"]["scenes"]:
+        # 80 columns hold it: what is not a terminal has no more.
+        columns = ("term", "variant", "bias [90 %] in %", "RMSE", "SSIM", "s", "verdict")
+        title = f"\n[bold]{scene}"
+        table = Table(
+            *columns, title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
         )
-    _output.print(table)
+        for row in judged:
+            if row["scene"] != scene:
+                continue
+            absent = row["verdict"] == "ABSENT"
+            low, high = 100 * row["bias_low"], 100 * row["bias_high"]
+            colour = _COLOURS.get(row["verdict"], "dim" if absent else "yellow")
+            table.add_row(
+                row["term"],
+                row["variant"],
+                "" if absent else f"{100 * row['bias']:+.2f} \\[{low:+.2f}, {high:+.2f}]",
+                "" if absent else f"{row['rmse']:.4f}",
+                "" if absent or row["ssim"] is None else f"{row['ssim']:.3f}",
+                f"{row['seconds']:.1f}",
+                f"[{colour}]{row['verdict']}[/{colour}]",
+            )
+        _output.print(table)
     for row in results["cells"]:
         if row["verdict"] in ("BIASED", "NOT AS PREDICTED", "UNDERPOWERED"):
             where = f"{row['scene']}: {row['term']} {row['variant']}"
             _output.print(f"{where}: {row['sentence']}", highlight=False, soft_wrap=True)
-

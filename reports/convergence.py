@@ -15,6 +15,8 @@ from reports.verdict import Estimate, gram
 
 SLOPES = 0.1, 3.0
 """Range of a that is searched: a slower fall looks like none, a faster one like a floor."""
+STILL_FALLING = 0.8
+"""A last prefix with less of the error before it is on no plateau; independent samples have 0.5."""
 PREFIXES_NEEDED = 4
 """One more than the parameters."""
 
@@ -144,7 +146,7 @@ def fit(
         slope=slope,
         floor=floor,
         scale=scale,
-        cause=_cause(slope, floor, bias_squared),
+        cause=_cause(slope, floor, bias_squared, float(values[-1] / values[-2]) if values[-2] > 0 else 1.0),
     )
 
 
@@ -165,8 +167,13 @@ def _least_squares(n: np.ndarray, values: np.ndarray, weights: np.ndarray) -> tu
     return float(floor), float(scale), slope
 
 
-def _cause(slope: Estimate | None, floor: Estimate, bias_squared: Estimate | None) -> str:
+def _cause(
+    slope: Estimate | None, floor: Estimate, bias_squared: Estimate | None, last_step: float
+) -> str:
     biased = bias_squared is not None and bias_squared.low(0.05) > 0
+    if floor.low(0.05) > 0 and not biased and last_step < STILL_FALLING:
+        # Low-discrepancy points fall faster at few samples than at many: a bend, which the law takes for a floor.
+        return f"falls, but not as one power of N: the last prefix has {last_step:.2f} of the MSE before it"
     if floor.low(0.05) > 0:
         if bias_squared is None:
             origin = "bias, a clamp, or repeated seeds"

@@ -1,10 +1,11 @@
 """Images on disk: OpenEXR with named parts for viewers, NetCDF with named dimensions for analysis.
 
 An EXR holds one part per term image and reference, float32, linear Rec. 709, with its provenance in the header.
-`results.nc` has a group a scene: `image(cell, y, x, channel)` and `reference(limit, y, x, channel)`, means over replicates
-with the variance of the mean, and for each cell the indices of its own, correct and physical limit.
+`results.nc` has a group a scene: `image(cell, y, x, channel)` and `reference(limit, y, x, channel)`, means over
+replicates with the variance of the mean, and for each cell the indices of its own, correct and physical limit.
 """
 
+import errno
 import json
 from pathlib import Path
 
@@ -13,7 +14,6 @@ import numpy as np
 import OpenEXR
 import xarray
 
-from renderer.terms import VARIANTS
 from reports.cells import Cell
 from reports.verdict import CHANNELS
 from scenes import limits
@@ -32,7 +32,14 @@ def write_exr(path: Path, parts: dict[str, np.ndarray], header: dict[str, str]) 
             for name, image in parts.items()
         ]
     )
-    write_atomically(path, lambda temporary: file.write(str(temporary)))
+
+    def write(temporary: Path) -> None:
+        try:
+            file.write(str(temporary))
+        except RuntimeError:  # OpenEXR's word for a full disk, with the temporary name in it
+            raise OSError(errno.EIO, "could not be written: is the disk full?", str(path)) from None
+
+    write_atomically(path, write)
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:
@@ -78,7 +85,11 @@ class Pictures:
     groups: dict[str, xarray.Dataset] = attrs.field(factory=dict)
 
     def write(
-        self, scene: Scene, measured: list[Cell], references: dict[Limit, np.ndarray], versions: dict[str, str]
+        self,
+        scene: Scene,
+        measured: list[Cell],
+        references: dict[Limit, np.ndarray],
+        versions: dict[str, str],
     ) -> None:
         """Write the EXR of a scene and keep its group of the dataset."""
         ours = {
@@ -95,14 +106,20 @@ class Pictures:
             shared = min(len(references[limit]) for limit in chosen)
             truth[name] = _summary(total(*(references[limit][:shared] for limit in chosen)), 0)
         names = list(truth)
-        indices = np.full((len(ours), 3), -1)
-        for row, (term, variant) in enumerate(ours):
-            if term == TOTAL:
-                indices[row] = names.index("total"), names.index("total"), names.index("total physical")
-            else:
-                limit = VARIANTS[term][variant].limit(scene)
-                wanted = (limit, limits.correct(term, scene.scope), limits.physical(term))
-                indices[row] = [names.index(limit_name(each)) for each in wanted]
+        indices = np.array(
+            [
+                [
+                    names.index(limit_name(limit))
+                    for limit in (
+                        cell.variant.limit(scene),
+                        limits.correct(cell.variant.term, scene.scope),
+                        limits.physical(cell.variant.term),
+                    )
+                ]
+                for cell in measured
+            ]
+            + [[names.index("total"), names.index("total"), names.index("total physical")]]
+        )
         self.groups[scene.name] = xarray.Dataset(
             {
                 "image": _stacked("cell", [each.mean for each in ours.values()]),
@@ -123,22 +140,23 @@ class Pictures:
         )
         parts = {f"{term}.{variant}": each.mean for (term, variant), each in ours.items()}
         parts |= {f"reference.{name}": each.mean for name, each in truth.items()}
-        header = {"software": "termwise", "scene": scene.name, "digest": scene.digest(), "versions": json.dumps(versions)}
+        header = {
+            "software": "termwise",
+            "scene": scene.name,
+            "digest": scene.digest(),
+            "versions": json.dumps(versions),
+        }
         write_exr(self.folder / "images" / f"{scene.name}.exr", parts, header)
 
     def close(self) -> None:
         """Write `results.nc`."""
-
-        def write(path: Path) -> None:
-            for index, (name, dataset) in enumerate(self.groups.items()):
-                encoding = {
-                    variable: {"zlib": True, "complevel": 1}
-                    for variable in ("image", "image_variance", "reference", "reference_variance")
-                }
-                mode = "w" if index == 0 else "a"
-                dataset.to_netcdf(path, group=name, mode=mode, engine="h5netcdf", encoding=encoding)
-
-        write_atomically(self.folder / "results.nc", write)
+        compressed = {"zlib": True, "complevel": 1}
+        encoding = {
+            f"/{name}": dict.fromkeys(dataset.data_vars, compressed) for name, dataset in self.groups.items()
+        }
+        # By way of memory: HDF5 ends the whole process where a disk fills up under an open file.
+        content = xarray.DataTree.from_dict(self.groups).to_netcdf(None, engine="h5netcdf", encoding=encoding)
+        write_atomically(self.folder / "results.nc", lambda path: path.write_bytes(content))
 
 
 def _summary(stack: np.ndarray, samples: int) -> TermImage:

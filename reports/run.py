@@ -29,13 +29,13 @@ from reports import cells, images, metrics, verdict
 from reports.cells import Cell
 from reports.convergence import PREFIXES_NEEDED, Convergence, fit, mean_square_error
 from reports.study import Study
-from reports.verdict import CHANNELS, Statistics, Verdict
+from reports.verdict import Estimate, Statistics, Verdict
 from scenes import limits
 from scenes.limits import Limit
 from scenes.load import load
 from scenes.model import Scene
 from scenes.store import PROJECT, cache_folder, sources_digest, write_atomically
-from scenes.terms import TERMS, TOTAL, Scope, Term, total
+from scenes.terms import TERMS, TOTAL, Term, total
 
 SCHEMA = 1
 # Direct at the vertices of a specular chain, in all cells: kernel bias must not leak into a specular verdict.
@@ -83,7 +83,7 @@ def scenes_of(study: Study, names: tuple[str, ...] = ()) -> tuple[Scene, ...]:
 
 def variants_of(study: Study, scene: Scene, term: Term) -> tuple[Variant, ...]:
     """Variants of a term that mean what the scene means: those whose limit has the scene's scope."""
-    chosen = [VARIANTS[term][name] for name in study.of(term)[1]]
+    chosen = [VARIANTS[term][name] for name in study.variants_of(term)]
     return tuple(variant for variant in chosen if variant.limit(scene).scope in (None, scene.scope))
 
 
@@ -149,7 +149,7 @@ def measure(study: Study, scenes: tuple[Scene, ...], folder: Path, *, name: str,
                 cells.cell(
                     engine,
                     variant,
-                    samples=study.of(term)[0],
+                    samples=study.samples_of(variant),
                     replicates=study.replicates,
                     seed=study.seed,
                     chain=CHAIN,
@@ -186,6 +186,7 @@ def measure(study: Study, scenes: tuple[Scene, ...], folder: Path, *, name: str,
                 "replicates": study.replicates,
                 "reference replicates": study.reference_replicates,
                 "reference samples per pixel": study.reference_spp,
+                "samples per pixel of full light transport": study.physical_spp,
                 "direct at the vertices of a specular chain": CHAIN,
                 "what a ray ignores that leaves a face": "the same face",
                 "normals": "turned towards the viewer",
@@ -197,6 +198,8 @@ def measure(study: Study, scenes: tuple[Scene, ...], folder: Path, *, name: str,
         "cells": rows,
     }
     pictures.close()
+    # A page of an earlier run must not stand beside new results, should this one end here.
+    (folder / "index.html").unlink(missing_ok=True)
     text = json.dumps(plain(results), indent=1, allow_nan=False)
     write_atomically(folder / "results.json", lambda path: path.write_text(text, "utf-8"))
     return results
@@ -219,7 +222,7 @@ def _references(study: Study, scene: Scene, advance: Callable[[str], None]) -> R
         kept = store.replicates(
             scene,
             limit,
-            spp=study.reference_spp,
+            spp=study.physical_spp if limit.transport == "physical" else study.reference_spp,
             seed=study.seed,
             count=study.reference_replicates,
             folder=cache_folder() / "reference",
@@ -281,6 +284,7 @@ def _rows(
                     samples=cell.samples[p],
                     seconds=float(cell.seconds[:, p].sum()),
                     compile_seconds=cell.compile_seconds if last else None,
+                    error=errors[p],
                     references=references,
                     limits=(own,),
                     kind=variant.kind,
@@ -288,7 +292,7 @@ def _rows(
                     allowance=variant.allowance if kernel else 0.0,
                     margin=verdict.margin_of(variant.kind, own_mean, correct_mean),
                     judged=last and variant.judged,
-                    predicted_bias=0.0,
+                    predicted_bias=0.0 if variant.judged else None,
                     reason=skipped(scene, term) or "",
                 )
             )
@@ -296,9 +300,9 @@ def _rows(
         measured_ratio = own_mean / correct_mean if correct_mean > 0 else None
         for against, limit in (("correct", correct[term]), ("physical", physical[term])):
             predicted = ratio if against == "correct" and ratio is not None else None
-            if against == "correct" and predicted is None:
+            if against == "correct" and predicted is None and variant.judged:
                 predicted = measured_ratio
-            if against == "physical" and variant.name != study.of(term)[1][0]:
+            if against == "physical" and variant.name != study.variants_of(term)[0]:
                 continue
             rows.append(
                 _row(
@@ -385,12 +389,15 @@ def _row(
     limits: tuple[Limit, ...],
     judged: bool,
     compile_seconds: float | None = None,
+    error: Estimate | None = None,
     **decide: Any,
 ) -> _Row:
-    """A row's metrics; those of images are of single replicates, against the mean of the reference."""
+    """A row's metrics: of single replicates, against the mean of the reference; RMSE is freed of the latter's noise."""
     truth = np.asarray(np.mean(reference, axis=0, dtype=np.float64))
     shown = ours[:_SHOWN_REPLICATES]
     black = not truth.any()
+    error = error or mean_square_error(ours, reference)
+    squares = {"rmse": error.value, "rmse_low": error.low(0.05), "rmse_high": error.high(0.05)}
     fields = {
         **_curve(None),
         **fields,
@@ -401,7 +408,7 @@ def _row(
         "seconds": seconds,
         "compile_seconds": compile_seconds,
         "reference_seconds": sum(references.seconds[limit] for limit in limits),
-        "rmse": float(np.sqrt(np.mean([metrics.rmse(truth, image) ** 2 for image in ours]))),
+        **{name: math.sqrt(max(0.0, square)) for name, square in squares.items()},
         "relmse": None if black else float(np.mean([metrics.relative_mse(truth, image) for image in shown])),
         "ssim": _ssim(truth, shown, scene.exposure),
     }
@@ -500,5 +507,3 @@ def plain(value: Any) -> Any:
         return None
     return value
 
-
-__all__ = ["CHANNELS", "Scope", "digest", "failures", "finished", "measure", "scenes_of", "variants_of", "versions"]

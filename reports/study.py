@@ -4,7 +4,7 @@ from pathlib import Path
 
 import attrs
 
-from renderer.terms import VARIANTS, find
+from renderer.terms import VARIANTS, Variant, find
 from scenes import strict
 from scenes.model import in_range
 from scenes.strict import FileError
@@ -12,17 +12,23 @@ from scenes.terms import Term
 
 STUDIES = Path(__file__).parent / "studies"
 
+DEFAULT_SAMPLES = 16
+
 _count = in_range(1, 2**31 - 1)
 
 
-@attrs.frozen(kw_only=True)
-class Samples:
-    """Samples per pixel and replicate of each term; powers of two keep low-discrepancy points well spread."""
+def _samples(study: object, attribute: attrs.Attribute, value: dict[str, int]) -> None:
+    known = [name for term in VARIANTS for name in (term, *(f"{term}.{variant}" for variant in VARIANTS[term]))]
+    for name, count in value.items():
+        if name not in known:
+            raise ValueError(f"samples.{name} = {count!r}: unknown key: allowed are {', '.join(known)}")
+        if count < 1:
+            raise ValueError(f"samples.{name} = {count}: allowed is at least 1")
 
-    ambient: int = attrs.field(default=64, validator=_count)
-    direct: int = attrs.field(default=16, validator=_count)
-    specular: int = attrs.field(default=16, validator=_count)
-    background: int = attrs.field(default=16, validator=_count)
+
+def _some(study: object, attribute: attrs.Attribute, value: tuple[str, ...]) -> None:
+    if not value:
+        raise ValueError(f"{attribute.name} = []: allowed is at least one")
 
 
 @attrs.frozen(kw_only=True)
@@ -42,6 +48,8 @@ class Variants:
                 raise ValueError(f"{term} = []: allowed is at least one of {', '.join(VARIANTS[term])}")
             for name in names:
                 find(term, name)
+                if names.count(name) > 1:
+                    raise ValueError(f"{term}: {name!r} is named twice: allowed are distinct variants")
 
 
 @attrs.frozen(kw_only=True)
@@ -55,23 +63,32 @@ class Study:
     seed : fixed before the run; ours and the reference derive unrelated streams from it.
     replicates, reference_replicates : K and R, independent seeds, each with photon maps of its own.
     reference_spp : samples per pixel of a reference replicate.
+    physical_spp : the same for full light transport, against which no verdict is due.
     photons : photons per pass at most, instead of a scene's larger count; None: the scenes' own.
-    samples, variants : per term.
+    samples : samples per pixel and replicate of a term, or of one variant as "term.variant"; powers of two keep
+        low-discrepancy points well spread. DEFAULT_SAMPLES where nothing is said.
+    variants : per term; the first is the one in `total`.
     """
 
-    scenes: tuple[str, ...]
+    scenes: tuple[str, ...] = attrs.field(validator=_some)
     resolution: tuple[int, int] = attrs.field(validator=in_range(1, 65536))
     seed: int = attrs.field(default=1, validator=in_range(0, 2**31 - 1))
     replicates: int = attrs.field(default=16, validator=in_range(4, 4096))
     reference_replicates: int = attrs.field(default=16, validator=in_range(4, 4096))
     reference_spp: int = attrs.field(default=64, validator=_count)
-    photons: int | None = None
-    samples: Samples = Samples()
+    physical_spp: int = attrs.field(default=16, validator=_count)
+    photons: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
+    samples: dict[str, int] = attrs.field(factory=dict, validator=_samples)
     variants: Variants = Variants()
 
-    def of(self, term: Term) -> tuple[int, tuple[str, ...]]:
-        """Samples and variants of a term."""
-        return getattr(self.samples, term), getattr(self.variants, term)
+    def samples_of(self, variant: Variant) -> int:
+        """Samples per pixel and replicate of a variant."""
+        of_term = self.samples.get(variant.term, DEFAULT_SAMPLES)
+        return self.samples.get(f"{variant.term}.{variant.name}", of_term)
+
+    def variants_of(self, term: Term) -> tuple[str, ...]:
+        """Names of the variants of a term."""
+        return getattr(self.variants, term)
 
 
 def studies() -> tuple[str, ...]:

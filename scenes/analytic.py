@@ -9,7 +9,8 @@
 | `closed_box` | ambient, direct | AO = 0; photons deposit the flux Phi / (1 - rho) in all |
 | `rectangle_light` | direct | Lambert's polygonal form factor |
 
-A camera here looks along one ray: its field of view is 1e-3 degrees unless the scene is a closed room.
+A camera here looks along one ray: its field of view is 1e-3 degrees unless the scene is a closed room. What it sees
+lies off the diagonal of the plate: where a point lies on an edge to the last bit, either face may be taken to be hit.
 """
 
 import math
@@ -40,9 +41,7 @@ def _grey(value: float) -> Color:
     return value, value, value
 
 
-def plate(
-    name: str, corner: Vector, first: Vector, second: Vector, material: Material = _GREY
-) -> Object:
+def plate(name: str, corner: Vector, first: Vector, second: Vector, material: Material = _GREY) -> Object:
     """A parallelogram of two triangles; its normal is `first` x `second`."""
     origin, u, v = np.array(corner), np.array(first), np.array(second)
     vertices = np.array([origin, origin + u, origin + u + v, origin + v])
@@ -70,7 +69,7 @@ def furnace(
     return Scene(
         "furnace",
         Camera(view, (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), fov=_ONE_RAY, pixel="centre"),
-        (plate("plate", (-9.0, -9.0, 0.0), (18.0, 0.0, 0.0), (0.0, 18.0, 0.0), material),),
+        (plate("plate", (-9.0, -9.0, 0.0), (18.0, 0.0, 0.0), (0.0, 19.0, 0.0), material),),
         ambient=Ambient(_grey(1.0)),
         sky=Sky(_grey(1.0)),
         resolution=(8, 8),
@@ -183,7 +182,7 @@ def rectangle_light(*, width: float, depth: float, height: float, radiance: floa
         "rectangle_light",
         Camera((-3.0, -4.0, 2.0), (0.0, 0.0, 0.0), fov=_ONE_RAY, pixel="centre"),
         (
-            plate("plate", (-9.0, -9.5, 0.0), (18.0, 0.0, 0.0), (0.0, 19.0, 0.0), Material(_grey(1.0))),
+            plate("plate", (-9.0, -9.0, 0.0), (18.0, 0.0, 0.0), (0.0, 19.0, 0.0), Material(_grey(1.0))),
             Object("lamp", lamp.mesh, emission=_grey(radiance)),
         ),
         resolution=(8, 8),

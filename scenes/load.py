@@ -93,13 +93,17 @@ class _Placed:
         """Vertices (V, 3) and faces (F, 3) before placement."""
         raise NotImplementedError
 
+    def where(self) -> str:
+        """Beginning of a message about this object's geometry."""
+        return f"objects: {self.name!r}"
+
     def build(self, folder: Path) -> Object:
         vertices, faces = self.geometry(folder)
         placed = self.scale * np.asarray(vertices, np.float64) @ self._rotation().T + self.translation
         try:
             mesh = Mesh.from_arrays(placed, faces, smooth=self.normals == "smooth")
         except ValueError as error:
-            raise ValueError(f"objects: {self.name!r}: {error}") from None
+            raise ValueError(f"{self.where()}: {error}") from None
         return Object(self.name, mesh, self.material(), self.emission)
 
     def _rotation(self) -> np.ndarray:
@@ -119,9 +123,7 @@ class _Rectangle(_Placed):
         corner = np.asarray(self.origin)
         first, second = np.asarray(self.edges)
         if not np.linalg.norm(np.cross(first, second)) > 0:
-            raise ValueError(
-                f"objects: {self.name!r}: edges = {self.edges!r}: allowed are two that span an area"
-            )
+            raise ValueError(f"{self.where()}: edges = {self.edges!r}: allowed are two that span an area")
         return np.array([corner, corner + first, corner + first + second, corner + second]), np.array(
             [[0, 1, 2], [0, 2, 3]]
         )
@@ -159,9 +161,12 @@ class _MeshFile(_Placed):
     shape: ClassVar[str] = "mesh"
     file: str
 
+    def where(self) -> str:
+        return f"objects: {self.name!r}: file = {self.file!r}"
+
     def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
         path = folder / self.file
-        where = f"objects: {self.name!r}: file = {self.file!r}"
+        where = self.where()
         if path.suffix.lower() not in (".ply", ".obj", ".stl", ".glb"):
             raise ValueError(f"{where}: allowed are files that end in .ply, .obj, .stl or .glb")
         if not path.is_file():

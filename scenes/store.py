@@ -1,8 +1,9 @@
 """Results on disk: a file is named by the digest of all that it depends on, and appears whole or not at all."""
 
+import functools
 import hashlib
 import os
-import tempfile
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,9 +18,8 @@ def cache_folder() -> Path:
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Call `write` with a temporary name beside `path`, then rename: readers never see half a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
+    # Not mkstemp: its files are readable by their owner alone, whatever the umask.
+    temporary = path.with_name(f".{path.stem}-{uuid.uuid4().hex}{path.suffix}")
     try:
         write(temporary)
         temporary.replace(path)
@@ -27,8 +27,12 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
+@functools.cache
 def sources_digest(*folders: Path) -> str:
-    """sha256 over the names and contents of all Python sources below `folders`."""
+    """sha256 over the names and contents of all Python sources below `folders`, as they were when first asked.
+
+    A file edited during a run is not the code that runs.
+    """
     state = hashlib.sha256()
     for folder in folders:
         for path in sorted(folder.rglob("*.py")):

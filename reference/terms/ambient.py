@@ -9,10 +9,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..wavefront import Estimator, Samples
+from ..wavefront import Estimator, Samples, idle
 
 RAYS = 4  # occlusion rays per camera ray: they share the primary hit
 UNBOUNDED = 1e30
+INTEGRATOR = {"type": "direct", "emitter_samples": 0, "bsdf_samples": RAYS, "hide_emitters": True}
 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
@@ -30,9 +31,7 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     scene = loaded.scenes["ambient"]
     reach = loaded.description["ambient"]["range"]
     if reach >= UNBOUNDED:
-        direct = mi.load_dict(
-            {"type": "direct", "emitter_samples": 0, "bsdf_samples": RAYS, "hide_emitters": True}
-        )
+        direct = mi.load_dict(INTEGRATOR)
 
         def unbounded(ray: Any, sampler: Any, active: Any) -> Any:
             color, valid, _ = direct.sample(scene, sampler, mi.RayDifferential3f(ray), None, active)
@@ -45,6 +44,8 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     def bounded(ray: Any, sampler: Any, active: Any) -> Any:
         si = scene.ray_intersect(ray, active)
         active = si.is_valid() & active
+        if idle(active):
+            return mi.Color3f(0.0)
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
         if reach == 0.0:
             return dr.select(active, albedo * color, 0.0)

@@ -14,7 +14,6 @@ from ..wavefront import Estimator, Samples, meets_surface, pixel_means
 FIRST_HIT = 2  # segments: camera to surface, surface to light
 DEPTHS = (2, 4, 8, 16, 32, 64, 128, 256)
 TAIL = 5e-4
-_PROBE_SIDE, _PROBE_SPP = 48, 16
 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
@@ -31,13 +30,17 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses or meets a light's surface."""
     if not loaded.description["has_lights"]:
         return lambda ray, sampler, active: mi.Color3f(0.0)
-    depth = FIRST_HIT if limit["scope"] == "first-hit" else sufficient_depth(loaded, "direct")
-    return reflected(loaded.scenes["direct"], depth)
+    return reflected(loaded.scenes["direct"], depth_of(loaded, limit))
+
+
+def depth_of(loaded: Any, limit: dict[str, Any]) -> int:
+    """Path depth that the scope of a limit needs."""
+    return FIRST_HIT if limit["scope"] == "first-hit" else sufficient_depth(loaded, "direct")
 
 
 def reflected(scene: Any, depth: int) -> Any:
     """(ray, sampler, active) -> light that `path` finds reflected at least once, none emitted along the ray."""
-    path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth + 1, "hide_emitters": True})
+    path = mi.load_dict(integrator(depth) | {"hide_emitters": True})
 
     def radiance(ray: Any, sampler: Any, active: Any) -> Any:
         # With `hide_emitters` Mitsuba lets camera rays pass through a light's surface; ours is black and opaque.
@@ -49,6 +52,11 @@ def reflected(scene: Any, depth: int) -> Any:
     return radiance
 
 
+def integrator(depth: int) -> dict[str, Any]:
+    """Describe Mitsuba's `path`, its roulette off."""
+    return {"type": "path", "max_depth": depth, "rr_depth": depth + 1}
+
+
 def sufficient_depth(loaded: Any, role: str) -> int:
     """Smallest power of two whose image differs from that of twice the depth by less than `TAIL` of its mean.
 
@@ -58,11 +66,12 @@ def sufficient_depth(loaded: Any, role: str) -> int:
     depths = loaded.description.setdefault("depths", {})
     if role in depths:
         return depths[role]
-    camera = loaded.description["camera"] | {"resolution": [_PROBE_SIDE, _PROBE_SIDE]}
+    side, spp = (48, 16) if dr.is_jit_v(mi.Float) else (16, 8)
+    camera = loaded.description["camera"] | {"resolution": [side, side]}
 
     def mean(depth: int) -> float:
         radiance = reflected(loaded.scenes[role], depth)
-        image = pixel_means(lambda s: (radiance(s.ray, s.sampler, True),), camera, spp=_PROBE_SPP, seed=0)
+        image = pixel_means(lambda s: (radiance(s.ray, s.sampler, True),), camera, spp=spp, seed=0)
         return float(image.mean())
 
     depths[role] = DEPTHS[-1]

@@ -22,7 +22,9 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
     def estimate(samples: Samples) -> tuple[Any]:
         if bounces == 0:
             return (mi.Color3f(0.0),)
-        color, ray, weight, active = _chain(loaded.scenes["specular"], loaded.sky, bounces, limit["lobe"], samples)
+        color, ray, weight, active = _chain(
+            loaded.scenes["specular"], loaded.sky, bounces, limit["lobe"], samples
+        )
         dr.eval(color, ray, weight, active)  # one kernel for the chain, one for each diffuse term
         for term in diffuse_terms:
             color += weight * mi.Float(bounces) * term(ray, samples.sampler, active)
@@ -35,9 +37,8 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
 def _chain(scene: Any, sky_radiance: Any, bounces: int, lobe: float, samples: Samples) -> Any:
     """Follow the lobe: the sky's light, and ray, weight and existence of the segment to the chosen vertex."""
     sampler = samples.sampler
-    bounces = dr.opaque(mi.UInt32, bounces)
-    lobe = dr.opaque(mi.Float, lobe)
-    chosen = samples.number % bounces
+    last, factor = dr.opaque(mi.UInt32, bounces), dr.opaque(mi.Float, lobe)
+    chosen = samples.number % last
     context = mi.BSDFContext()
     ray = mi.Ray3f(samples.ray)
     si = scene.ray_intersect(ray)
@@ -50,7 +51,7 @@ def _chain(scene: Any, sky_radiance: Any, bounces: int, lobe: float, samples: Sa
     kept = mi.Bool(False)
     while active:
         bs, weight = si.bsdf().sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
-        throughput *= weight * lobe
+        throughput *= weight * factor
         active &= dr.any(throughput != 0.0)
         ray = si.spawn_ray(si.to_world(bs.wo))
         si = scene.ray_intersect(ray, active)
@@ -61,5 +62,5 @@ def _chain(scene: Any, sky_radiance: Any, bounces: int, lobe: float, samples: Sa
         kept_weight = dr.select(here, throughput, kept_weight)
         kept |= here
         depth += 1
-        active &= depth < bounces
+        active &= depth < last
     return color, kept_ray, kept_weight, kept

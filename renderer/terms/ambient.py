@@ -68,7 +68,7 @@ VARIANTS = (
         limit=lambda scene: Limit("ambient"),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \mathrm{hit}(\omega_k)\, L_{a0}, \quad \omega_k \sim \frac{\cos\theta}{\pi}",
-        converges_to=r"AO \cdot L_{a0}",
+        converges_to=r"\mathrm{AO} \cdot L_{a0}",
         source="cosine-weighted sampling; Owen-scrambled Sobol points (Burley, JCGT 2020)",
     ),
     Variant(
@@ -79,8 +79,8 @@ VARIANTS = (
         limit=lambda scene: Limit("ambient", factor=math.pi if scene.toggles.ambient_occlusion else 1.0),
         kind="wrong",
         equation=r"\frac{2\pi}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k - 1 + U}{N}",
-        converges_to=r"\pi \cdot AO \cdot L_{a0}",
-        source="the paper's integral, which has no 1/pi",
+        converges_to=r"\pi \cdot \mathrm{AO} \cdot L_{a0}",
+        source="the paper's integral, which has no 1/π",
         ratio=lambda scene: math.pi if scene.toggles.ambient_occlusion else 1.0,
     ),
 )

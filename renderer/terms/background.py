@@ -41,8 +41,8 @@ VARIANTS = (
         driver=_seen,
         limit=lambda scene: Limit("background"),
         kind="right",
-        equation=r"\frac{1}{N} \sum_k L_{sky}(\omega_k) \text{ or } L_e",
-        converges_to=r"L_{sky},\ L_e",
+        equation=r"\frac{1}{N} \sum_k L_{\text{sky}}(\omega_k) \text{ or } L_e",
+        converges_to=r"L_{\text{sky}},\ L_e",
         source="the paper's sky; lights drawn as an option",
     ),
 )

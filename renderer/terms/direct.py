@@ -155,7 +155,7 @@ VARIANTS = (
         limit=lambda scene: Limit("direct", scope="all"),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \sum_j \beta_j \frac{L_e \cos\theta \cos\theta'}{d^2\, p}",
-        converges_to=r"E_{all} / \pi",
+        converges_to=r"E_{\text{all}} / \pi",
         source="path tracing with light sampling at every vertex; roulette with 1/p (Arvo, Kirk, 1990)",
     ),
     Variant(
@@ -165,7 +165,7 @@ VARIANTS = (
         limit=lambda scene: Limit("direct", scope="all"),
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
-        converges_to=r"\frac{k}{k-1} E_{all} / \pi,\ \text{blurred over } r_k",
+        converges_to=r"\frac{k}{k-1} E_{\text{all}} / \pi,\ \text{blurred over } r_k",
         source="the paper's photon map: all photons after roulette, the k nearest",
         inputs=lambda scene, chain, photons: (photons, scene.photons.nearest),
         photons=lambda scene, chain: "all",

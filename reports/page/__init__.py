@@ -7,7 +7,6 @@ are PNG files beside them, formulas MathML, and only the charts need a script (p
 import json
 import re
 import shutil
-from collections import Counter
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,6 +15,7 @@ import jinja2
 import numpy as np
 import plotly.offline
 import xarray
+from markupsafe import Markup, escape
 
 from renderer.terms import VARIANTS
 from reports import verdict
@@ -72,6 +72,7 @@ def write(run: Path) -> Path:
     scenes = [_Scene(name, described, rows) for name, described in results["settings"]["scenes"].items()]
 
     # What an earlier run with other scenes left would be taken for this one's.
+    (run / "index.html").unlink(missing_ok=True)
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
     shown = {scene.name: scene.draw(run) for scene in scenes}
@@ -112,7 +113,14 @@ class _Scene:
 
     def __init__(self, name: str, described: dict[str, Any], rows: list[dict[str, Any]]) -> None:
         self.name = name
-        self.described = {"resolution": None, "exposure": None, "settings": {}, "objects": [], "skips": [], **described}
+        self.described = {
+            "resolution": None,
+            "exposure": None,
+            "settings": {},
+            "objects": [],
+            "skips": [],
+            **described,
+        }
         self.rows = [row for row in rows if row["scene"] == name]
         self.keys = sorted(
             dict.fromkeys((row["term"], row["variant"]) for row in self.rows), key=lambda key: _order(key[0])
@@ -128,12 +136,20 @@ class _Scene:
 
     def prefixes(self, term: str, variant: str) -> list[dict[str, Any]]:
         """Rows against `own` by increasing samples; the last one is the judged one."""
-        rows = [row for row in self.rows if (row["term"], row["variant"], row["against"]) == (term, variant, "own")]
+        rows = [
+            row
+            for row in self.rows
+            if (row["term"], row["variant"], row["against"]) == (term, variant, "own")
+        ]
         return sorted(rows, key=lambda row: row["samples"] or 0)
 
     def row(self, term: str, variant: str, against: str) -> dict[str, Any] | None:
         """The row at the largest sample count, None if there is none."""
-        rows = [row for row in self.rows if (row["term"], row["variant"], row["against"]) == (term, variant, against)]
+        rows = [
+            row
+            for row in self.rows
+            if (row["term"], row["variant"], row["against"]) == (term, variant, against)
+        ]
         return max(rows, key=lambda row: row["samples"] or 0, default=None)
 
     def chart(self, term: str) -> dict[str, Any] | None:
@@ -161,7 +177,13 @@ class _Scene:
                 written.add(path)
             return quote(path.as_posix())
 
-        cells = list(zip(dataset["cell_term"].values.astype(str), dataset["cell_variant"].values.astype(str), strict=True))
+        cells = list(
+            zip(
+                dataset["cell_term"].values.astype(str),
+                dataset["cell_variant"].values.astype(str),
+                strict=True,
+            )
+        )
         drawn: dict[tuple[str, str, str], dict[str, Any]] = {}
         for against in ("own", "physical"):
             for term in dict.fromkeys(term for term, _ in cells):
@@ -184,8 +206,12 @@ class _Scene:
                     name = str(dataset["limit_name"].values[limit])
                     drawn[term, variant, against] = {
                         "ours": picture(f"{term} {variant}", pictures.display(ours, exposure=exposure)),
-                        "reference": picture(f"reference {name}", pictures.display(reference, exposure=exposure)),
-                        "error": picture(f"{term} {variant} error {against}", pictures.diverge(error, scale=scale)),
+                        "reference": picture(
+                            f"reference {name}", pictures.display(reference, exposure=exposure)
+                        ),
+                        "error": picture(
+                            f"{term} {variant} error {against}", pictures.diverge(error, scale=scale)
+                        ),
                         "limit": name,
                         "scale": scale,
                         "mean": mean,
@@ -201,11 +227,20 @@ def _order(term: str) -> int:
 
 def _complete(row: dict[str, Any]) -> dict[str, Any]:
     """A row in which whatever is not due is None."""
-    return dict.fromkeys(_FIELDS) | dict.fromkeys(_LISTS, []) | {k: v for k, v in row.items() if v is not None}
+    return (
+        dict.fromkeys(_FIELDS) | dict.fromkeys(_LISTS, []) | {k: v for k, v in row.items() if v is not None}
+    )
 
 
 def _word(row: dict[str, Any] | None) -> str:
     return (row or {}).get("verdict") or "NOT JUDGED"
+
+
+def _sentence(row: dict[str, Any]) -> str:
+    """The row's sentence without the verdict that it opens with, which stands beside it."""
+    text = (row["sentence"] or "").removeprefix(f"{row['verdict']}: ")
+    text = re.sub(r"(?<!\w)-(?=\d)", digits.MINUS, text)
+    return text[:1].upper() + text[1:]
 
 
 def _tally(rows: list[dict[str, Any] | None]) -> dict[str, list[dict[str, Any]]]:
@@ -216,7 +251,9 @@ def _tally(rows: list[dict[str, Any] | None]) -> dict[str, list[dict[str, Any]]]
 
 def _keys(scenes: list[_Scene]) -> dict[str, list[str]]:
     """Variants of each term over all scenes."""
-    every = sorted(dict.fromkeys(key for scene in scenes for key in scene.keys), key=lambda key: _order(key[0]))
+    every = sorted(
+        dict.fromkeys(key for scene in scenes for key in scene.keys), key=lambda key: _order(key[0])
+    )
     found: dict[str, list[str]] = {}
     for term, variant in every:
         found.setdefault(term, []).append(variant)
@@ -235,12 +272,23 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    for name in ("percent", "interval", "plus_minus", "number", "similarity", "duration", "setting"):
+    for name in (
+        "percent",
+        "interval",
+        "two_digits",
+        "plus_minus",
+        "number",
+        "similarity",
+        "duration",
+        "setting",
+    ):
         environment.filters[name] = getattr(digits, name)
     environment.filters["math"] = method.mathml
     environment.filters["equation"] = lambda latex: method.mathml(latex, block=True)
     environment.filters["slug"] = _slug
     environment.filters["word"] = _word
+    environment.filters["breakable"] = lambda name: escape(name).replace("_", Markup("_<wbr>"))
+    environment.filters["sentence"] = _sentence
     environment.globals["variant"] = method.find
     environment.globals["bar"] = _bar()
     return environment

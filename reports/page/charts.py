@@ -10,6 +10,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from reports.page.digits import number
+
 # Of Okabe and Ito's colour-blind safe palette, those that stand out on white and on black; marks differ too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7F7F7F")
 MARKS = ("circle", "square", "diamond", "triangle-up", "cross")
@@ -34,9 +36,8 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
     curves = {name: rows for name, rows in curves.items() if len(rows) > 1}
     if not curves:
         return None
-    figure = make_subplots(
-        cols=2, shared_yaxes=True, horizontal_spacing=0.04, x_title=None, y_title=None
-    )
+    figure = make_subplots(cols=2, shared_yaxes=True, horizontal_spacing=0.04)
+    drawn: dict[str, list[float]] = {"samples": [], "seconds": [], "y": []}
     for index, (name, rows) in enumerate(curves.items()):
         colour, mark = COLOURS[index % len(COLOURS)], MARKS[index % len(MARKS)]
         samples = np.array([row["samples"] for row in rows], float)
@@ -46,17 +47,29 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
         for column, x in ((1, samples), (2, seconds)):
             if not np.isfinite(x).all():
                 continue
+            drawn[_AXES[column - 1][1]] += x.tolist()
+            drawn["y"] += rmse.tolist()
             style: dict[str, Any] = {"legendgroup": name, "showlegend": False, "hoverinfo": "skip"}
             if banded:
                 edge = [row["rmse_high"] for row in rows] + [row["rmse_low"] for row in reversed(rows)]
                 band = go.Scatter(
-                    x=[*x, *x[::-1]], y=edge, fill="toself", fillcolor=colour, opacity=0.18, mode="none", **style
+                    x=[*x, *x[::-1]],
+                    y=edge,
+                    fill="toself",
+                    fillcolor=colour,
+                    opacity=0.18,
+                    mode="none",
+                    **style,
                 )
                 figure.add_trace(band, 1, column)
             if (fitted := _fit(rows, samples, rmse)) is not None:
-                # Time is proportional to samples only roughly: the fit is drawn at the measured points there.
+                # A fit in samples: where the axis is time, samples are placed between the measured times.
                 line = go.Scatter(
-                    x=x.tolist(), y=fitted.tolist(), mode="lines", line={"color": colour, "width": 1.5}, **style
+                    x=np.exp(np.interp(np.log(fitted[0]), np.log(samples), np.log(x))).tolist(),
+                    y=fitted[1].tolist(),
+                    mode="lines",
+                    line={"color": colour, "width": 1.5},
+                    **style,
                 )
                 figure.add_trace(line, 1, column)
             figure.add_trace(
@@ -81,6 +94,7 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
                         x=ends.tolist(),
                         y=(rmse[0] * np.sqrt(ends[0] / ends)).tolist(),
                         name="1/√N",
+                        legendrank=2000,
                         legendgroup="guide",
                         showlegend=column == 1,
                         mode="lines",
@@ -90,12 +104,14 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
                     1,
                     column,
                 )
-    for column, (title, _) in enumerate(_AXES, 1):
-        figure.update_xaxes(type="log", title=title, dtick="D2" if column == 2 else None, col=column)
-    every = sorted({row["samples"] for rows in curves.values() for row in rows})
-    figure.update_xaxes(tickvals=every, ticktext=[f"{n:g}" for n in every], col=1)
-    figure.update_yaxes(type="log", exponentformat="power")
+    figure.update_xaxes(type="log")
+    figure.update_yaxes(type="log", **_ticks(drawn["y"]))
     figure.update_yaxes(title="RMSE (radiance)", col=1)
+    for column, (title, _) in enumerate(_AXES, 1):
+        figure.update_xaxes(title=title, col=column)
+    every = sorted(set(drawn["samples"]))
+    figure.update_xaxes(tickvals=every, ticktext=[f"{n:g}" for n in every], col=1)
+    figure.update_xaxes(**_ticks(drawn["seconds"]), col=2)
     figure.update_layout(
         template="none",
         height=400,
@@ -107,16 +123,30 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
     return figure.to_plotly_json()
 
 
-def _fit(rows: list[dict[str, Any]], samples: np.ndarray, rmse: np.ndarray) -> np.ndarray | None:
-    """The fitted RMSE at the samples; c, which the results do not hold, is the least-squares one for their a and b²."""
+def _fit(
+    rows: list[dict[str, Any]], samples: np.ndarray, rmse: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Samples and fitted RMSE; c, which the results do not hold, is the least-squares one for their a and b²."""
     slope, floor = rows[-1]["slope"], rows[-1]["floor"]
     if slope is None or floor is None:
         return None
     fall, square = (samples / samples[0]) ** -slope, rmse**2
     weight = 1.0 / square**2
     scale = np.sum(weight * fall * (square - floor)) / np.sum(weight * fall**2)
-    fitted = floor + scale * fall
-    return np.sqrt(fitted) if (fitted > 0).all() else None
+    dense = np.geomspace(samples[0], samples[-1], 4 * len(samples) - 3)
+    fitted = floor + scale * (dense / samples[0]) ** -slope
+    return (dense, np.sqrt(fitted)) if (fitted > 0).all() else None
+
+
+def _ticks(values: list[float]) -> dict[str, Any]:
+    """Ticks at 1, 2 and 5 times the powers of ten, written out; powers alone over more than two decades."""
+    values = [value for value in values if value > 0]
+    if not values:
+        return {}
+    low, high = (int(np.floor(np.log10(end))) for end in (min(values), max(values)))
+    steps = (1, 2, 5) if np.log10(max(values) / min(values)) <= 2.5 else (1,)
+    ticks = [float(f"{step}e{decade}") for decade in range(low - 1, high + 2) for step in steps]
+    return {"tickvals": ticks, "ticktext": [number(tick, 1) for tick in ticks]}
 
 
 def _slope(row: dict[str, Any]) -> str:

@@ -26,6 +26,11 @@ def percent(value: float | None, *, signed: bool = True, decimals: int = 2) -> s
     return _minus(f"{100 * value:{'+' if signed else ''}.{decimals}f}") + f"{THIN}%"
 
 
+def two_digits(value: float) -> str:
+    """The end of a scale, which has two digits: `+7.2 %`, `+170 %`."""
+    return percent(value, decimals=_decimals(100 * abs(value)))
+
+
 def interval(value: float | None, low: float | None, high: float | None) -> str:
     """A relative number and its interval: `+0.12 % [−0.03, +0.27]`."""
     if value is None:
@@ -70,13 +75,13 @@ def similarity(value: float | None) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Seconds in the unit that people use: `34 ms`, `3.2 s`, `4 min 10 s`, `2 h 5 min`."""
+    """Seconds in the unit that people use: `34 ms`, `0.25 s`, `3.2 s`, `4 min 10 s`, `2 h 5 min`."""
     if seconds is None:
         return DASH
     if seconds < 0.0995:
         return f"{1000 * seconds:.{1 if seconds < 0.00995 else 0}f}{THIN}ms"
     if seconds < 99.5:
-        return f"{seconds:.{1 if seconds < 9.95 else 0}f}{THIN}s"
+        return f"{seconds:.{2 if seconds < 0.995 else 1 if seconds < 9.95 else 0}f}{THIN}s"
     whole = round(seconds)
     if whole < 3600:
         return f"{whole // 60}{THIN}min {whole % 60}{THIN}s"

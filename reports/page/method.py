@@ -15,6 +15,7 @@ from renderer.terms.variant import Variant
 # apart from its argument.
 _REPAIRS = (
     (re.compile(r"<mi>(?:&#x0007E;|~)</mi>"), "<mo>&#x0223C;</mo>"),
+    (re.compile(r"(</mi>|</msub>|</msup>)(?=<mi>cos</mi>)"), r'\1<mspace width="0.14em" />'),
     (re.compile(r"<mi>(cos|sin|tan|max|min|erf)</mi>"), r'<mi>\1</mi><mspace width="0.14em" />'),
 )
 
@@ -24,11 +25,18 @@ REFERENCES = (
         "paper",
         "Visualisation of a 3D scene with ray tracing. Course paper, 2020 (in Russian): the estimators called “paper”.",
     ),
-    ("cook-torrance", "R. L. Cook, K. E. Torrance. A reflectance model for computer graphics. ACM TOG 1(1), 1982."),
-    ("beckmann", "P. Beckmann, A. Spizzichino. The scattering of electromagnetic waves from rough surfaces. 1963."),
+    (
+        "cook-torrance",
+        "R. L. Cook, K. E. Torrance. A reflectance model for computer graphics. ACM TOG 1(1), 1982.",
+    ),
+    (
+        "beckmann",
+        "P. Beckmann, A. Spizzichino. The scattering of electromagnetic waves from rough surfaces. 1963.",
+    ),
     (
         "smith",
-        "B. G. Smith. Geometrical shadowing of a random rough surface. IEEE Trans. Antennas and Propagation 15(5), 1967.",
+        "B. G. Smith. Geometrical shadowing of a random rough surface. IEEE Trans. Antennas and Propagation 15(5), "
+        "1967.",
     ),
     (
         "schlick",
@@ -42,8 +50,14 @@ REFERENCES = (
     ("burley", "B. Burley. Practical hash-based Owen scrambling. JCGT 9(4), 2020."),
     ("woop", "S. Woop, C. Benthin, I. Wald. Watertight ray/triangle intersection. JCGT 2(1), 2013."),
     ("arvo", "J. Arvo, D. Kirk. Particle transport and image synthesis. SIGGRAPH 1990."),
-    ("jensen", "H. W. Jensen. Global illumination using photon maps. Eurographics Workshop on Rendering 1996."),
-    ("knaus", "C. Knaus, M. Zwicker. Progressive photon mapping: a probabilistic approach. ACM TOG 30(3), 2011."),
+    (
+        "jensen",
+        "H. W. Jensen. Global illumination using photon maps. Eurographics Workshop on Rendering 1996.",
+    ),
+    (
+        "knaus",
+        "C. Knaus, M. Zwicker. Progressive photon mapping: a probabilistic approach. ACM TOG 30(3), 2011.",
+    ),
     ("mitsuba", "W. Jakob et al. Mitsuba 3 renderer. 2022."),
     (
         "welch",
@@ -51,7 +65,11 @@ REFERENCES = (
         "involved. Biometrika 34, 1947.",
     ),
     ("efron", "B. Efron. The jackknife, the bootstrap and other resampling plans. SIAM 1982."),
-    ("jung", "A. Jung, J. Hanika, C. Dachsbacher. Detecting bias in Monte Carlo renderers using Welch's t-test. JCGT 9(2), 2020."),
+    (
+        "jung",
+        "A. Jung, J. Hanika, C. Dachsbacher. Detecting bias in Monte Carlo renderers using Welch's t-test. "
+        "JCGT 9(2), 2020.",
+    ),
     (
         "wang",
         "Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli. Image quality assessment: from error visibility to "
@@ -70,11 +88,13 @@ def mathml(latex: str, *, block: bool = False) -> Markup:
 
     The formula itself stays as its alternative text.
     """
-    latex = latex.strip()
+    latex = str(latex).strip()
     try:
         markup = convert(latex, display="block" if block else "inline")
     except Exception as error:  # the converter has a dozen kinds, without a common base
-        raise ValueError(f"equation = {latex!r}: is not LaTeX that can be shown ({type(error).__name__})") from None
+        raise ValueError(
+            f"equation = {latex!r}: is not LaTeX that can be shown ({type(error).__name__})"
+        ) from None
     for wrong, right in _REPAIRS:
         markup = wrong.sub(right, markup)
     return Markup(markup.replace("<math ", Markup('<math alttext="{}" ').format(latex), 1))

@@ -20,7 +20,7 @@ from scenes.store import write_atomically
 
 QUANTILE = 0.99
 """Share of the pixels whose error lies within the scale."""
-INVALID = (255, 0, 255)
+INVALID = np.array([255, 0, 255], np.uint8)
 """Colour of a pixel that is NaN or infinite: found in no exposure of a real scene by chance."""
 
 # ColorBrewer's RdBu, safe for colour-blind eyes; its middle is made white, since 0 is no error.
@@ -36,7 +36,7 @@ def display(radiance: np.ndarray, *, exposure: float) -> np.ndarray:
     """(H, W, 3) uint8 sRGB of linear Rec. 709 radiance; invalid pixels in magenta."""
     valid = np.isfinite(radiance).all(axis=-1, keepdims=True)
     shown = np.round(255 * encode(np.where(valid, radiance, 0.0), exposure=exposure)).astype(np.uint8)
-    return np.where(valid, shown, np.uint8(INVALID))
+    return np.where(valid, shown, INVALID)
 
 
 def relative_error(ours: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, float]:
@@ -45,7 +45,9 @@ def relative_error(ours: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray,
     That is the reference's mean; ours' where the reference is black, 1 where both are.
     """
     luminances = [np.asarray(image, np.float64) @ LUMINANCE for image in (ours, reference)]
-    means = [float(np.mean(each[np.isfinite(each)])) if np.isfinite(each).any() else 0.0 for each in luminances]
+    means = [
+        float(np.mean(each[np.isfinite(each)])) if np.isfinite(each).any() else 0.0 for each in luminances
+    ]
     scale = next((mean for mean in reversed(means) if mean > 0), 1.0)
     return (luminances[0] - luminances[1]) / scale, scale
 
@@ -68,7 +70,7 @@ def diverge(error: np.ndarray, *, scale: float) -> np.ndarray:
     valid = np.isfinite(error)
     share = np.clip(np.where(valid, error, 0.0) / scale, -1.0, 1.0)
     level = np.round((share + 1.0) / 2.0 * (_LEVELS - 1)).astype(int)
-    return np.where(valid[..., None], np.round(_DIVERGING[level]).astype(np.uint8), np.uint8(INVALID))
+    return np.where(valid[..., None], np.round(_DIVERGING[level]).astype(np.uint8), INVALID)
 
 
 def write_png(path: Path, radiance: np.ndarray, *, exposure: float) -> None:

@@ -1,6 +1,7 @@
 """The Cook-Torrance lobe of the references against quadrature, chi² and Mitsuba's own `roughconductor`."""
 
 import importlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,7 +84,7 @@ def test_sampling_matches_density(alpha, mu):
     """Chi² of samples against `pdf`; the density of a lobe that is 1.3 times as rough is rejected."""
     from mitsuba.chi2 import BSDFAdapter, ChiSquareTest, SphericalDomain
 
-    def test(of, against):
+    def test(of, against) -> Any:
         sample, _ = BSDFAdapter("cook_torrance", parameters(of), wi=direction(mu))
         _, pdf = BSDFAdapter("cook_torrance", parameters(against), wi=direction(mu))
         chi2 = ChiSquareTest(
@@ -92,7 +93,8 @@ def test_sampling_matches_density(alpha, mu):
         return chi2, chi2.run(significance_level=0.001, test_count=9, quiet=True)
 
     def parameters(roughness):
-        return f'<float name="alpha" value="{roughness}"/><vector name="f0" value="1,1,1"/><float name="factor" value="1"/>'
+        f0 = '<vector name="f0" value="1,1,1"/>'
+        return f'<float name="alpha" value="{roughness}"/>{f0}<float name="factor" value="1"/>'
 
     right, passed = test(alpha, alpha)
     assert passed, right.messages
@@ -140,7 +142,10 @@ def test_roughconductor_agrees_for_constant_fresnel(alpha, mu):
     """Mitsuba's own lobe with F = 1 has the same albedo but for its rational G1, which is up to 0.3 % off."""
     own, _, _ = sampled(lobe(alpha), mu)
     built_in, _, _ = sampled(
-        mi.load_dict({"type": "roughconductor", "distribution": "beckmann", "alpha": alpha, "material": "none"}), mu
+        mi.load_dict(
+            {"type": "roughconductor", "distribution": "beckmann", "alpha": alpha, "material": "none"}
+        ),
+        mu,
     )
     noise = 4.5 * np.hypot(own.std(), built_in.std()) / np.sqrt(SAMPLES)
     assert own.mean() == pytest.approx(built_in.mean(), abs=0.003 * built_in.mean() + noise)

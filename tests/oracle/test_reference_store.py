@@ -36,6 +36,7 @@ def renders(monkeypatch) -> list[int]:
         return original(*arguments, replicate=replicate, **options)
 
     monkeypatch.setattr(reference, "compile_kernels", lambda *_: None)
+    monkeypatch.setattr(store, "_variant", lambda: "any that has no budget")
     monkeypatch.setattr(reference, "replicate_parts", counted)
     return rendered
 
@@ -43,7 +44,13 @@ def renders(monkeypatch) -> list[int]:
 def test_replicates_are_rendered_once(scene, renders, tmp_path):
     ticks = []
     first = store.replicates(
-        scene, correct("direct", "all"), spp=2, seed=1, count=2, folder=tmp_path, progress=lambda: ticks.append(1)
+        scene,
+        correct("direct", "all"),
+        spp=2,
+        seed=1,
+        count=2,
+        folder=tmp_path,
+        progress=lambda: ticks.append(1),
     )
     assert (renders, len(ticks)) == ([0, 1], 2)
     more = store.replicates(scene, correct("direct", "all"), spp=2, seed=1, count=3, folder=tmp_path)
@@ -53,12 +60,16 @@ def test_replicates_are_rendered_once(scene, renders, tmp_path):
     assert first.images.shape == (2, 6, 8, 3)
     assert (more.seconds[:2] == first.seconds).all()
     assert (more.images[0] != more.images[1]).any()
-    np.testing.assert_array_equal(more.images[2], reference.replicate(scene, correct("direct", "all"), spp=2, seed=1, replicate=2))
+    np.testing.assert_array_equal(
+        more.images[2], reference.replicate(scene, correct("direct", "all"), spp=2, seed=1, replicate=2)
+    )
 
 
 def test_constant_factors_and_irrelevant_fields_share_replicates(scene, renders, tmp_path):
     plain = store.replicates(scene, correct("ambient", "all"), spp=2, seed=1, count=1, folder=tmp_path)
-    other = attrs.evolve(scene, name="other", lights=(), sky=Sky(), max_bounces=0, scope="first-hit", exposure=9.0)
+    other = attrs.evolve(
+        scene, name="other", lights=(), sky=Sky(), max_bounces=0, scope="first-hit", exposure=9.0
+    )
     paper = store.replicates(other, Limit("ambient", factor=np.pi), spp=2, seed=1, count=1, folder=tmp_path)
     assert renders == [0]
     np.testing.assert_allclose(paper.images, np.pi * plain.images, rtol=1e-6)
@@ -104,6 +115,27 @@ def test_damaged_files_are_rendered_again(scene, renders, tmp_path, damage):
     assert renders == [0, 0]
     np.testing.assert_array_equal(again.images, whole.images)
     assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    ("seconds_per_sample", "expected"),
+    [(0.01, (64, 16)), (0.1, (32, 16)), (1.0, (2, 16)), (10.0, (1, 6)), (99.0, (1, 2))],
+)
+def test_a_budget_buys_replicates_before_samples(seconds_per_sample, expected):
+    assert store.affordable(64, 16, seconds_per_sample, 60.0) == expected
+
+
+def test_scalar_backend_says_what_it_left_out(scene, renders, monkeypatch, tmp_path):
+    """Samples are given up for the budget, the shortfall says so, and a second run renders nothing."""
+    monkeypatch.setattr(store, "_variant", lambda: "scalar_rgb")
+    options = {"spp": 2**30, "seed": 1, "count": 2, "folder": tmp_path, "budget_s": 1e-9}
+    first = store.replicates(scene, correct("ambient", "all"), **options)
+    assert (first.spp, len(first.images)) == (1, 2)
+    assert first.shortfall
+    assert "2 of 2 replicates at 1 of 1073741824 samples" in first.shortfall
+    assert renders == [0, 1]
+    assert store.replicates(scene, correct("ambient", "all"), **options).shortfall == first.shortfall
+    assert renders == [0, 1]
 
 
 def test_an_interrupted_render_leaves_nothing(scene, monkeypatch, tmp_path):

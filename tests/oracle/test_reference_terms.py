@@ -1,5 +1,7 @@
 """The references against closed forms: what Mitsuba is made to compute is the integral that is meant."""
 
+from typing import Any
+
 import attrs
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ WHITE = (1.0, 1.0, 1.0)
 SEED = 7
 
 
-def plane(size: float = 4.0, material: Material | None = None, height: float = 0.0, name: str = "plane") -> Object:
+def plane(
+    size: float = 4.0, material: Material | None = None, height: float = 0.0, name: str = "plane"
+) -> Object:
     corners = size / 2 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) + [0, 0, height]
     return Object(name, Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3]]), material or Material(color=WHITE))
 
@@ -44,7 +48,9 @@ def test_ambient_below_a_disc(radius, height):
     image = reference.replicate(scene, correct("ambient", "all"), spp=256, seed=SEED)
     expected = height**2 / (height**2 + radius**2)
     sigma = np.sqrt(expected * (1 - expected) / (4 * 256 * 256))
-    assert image.mean(dtype=float) == pytest.approx(expected, abs=4.5 * sigma + 2e-4)  # 2e-4: polygon, ray offset
+    assert image.mean(dtype=float) == pytest.approx(
+        expected, abs=4.5 * sigma + 2e-4
+    )  # 2e-4: polygon, ray offset
 
 
 @pytest.mark.parametrize("reach", [1.5, 1.2, 0.9])
@@ -66,7 +72,11 @@ def test_finite_range_agrees_with_the_built_in_integrator():
     scene = Scene("ball", camera, (plane(), thing), ambient=Ambient((1.0, 2.0, 3.0)), resolution=(32, 32))
     built_in = reference.render(scene, Limit("ambient"), spp=64, seed=SEED, replicates=8)
     own = reference.render(
-        attrs.evolve(scene, ambient=Ambient((1.0, 2.0, 3.0), range=100.0)), Limit("ambient"), spp=64, seed=3, replicates=8
+        attrs.evolve(scene, ambient=Ambient((1.0, 2.0, 3.0), range=100.0)),
+        Limit("ambient"),
+        spp=64,
+        seed=3,
+        replicates=8,
     )
     deviation = (own.mean - built_in.mean).sum(axis=(0, 1))
     sigma = np.sqrt((own.variance + built_in.variance).sum(axis=(0, 1)))
@@ -77,7 +87,11 @@ def test_finite_range_agrees_with_the_built_in_integrator():
 def test_ambient_occlusion_off_is_the_weight_times_the_light():
     material = Material(color=(0.2, 0.5, 0.9), gloss=0.25)
     scene = Scene(
-        "off", SPOT, (plane(material=material), disc(1.0, 1.0)), ambient=Ambient((1.0, 2.0, 3.0)), resolution=(4, 4)
+        "off",
+        SPOT,
+        (plane(material=material), disc(1.0, 1.0)),
+        ambient=Ambient((1.0, 2.0, 3.0)),
+        resolution=(4, 4),
     )
     scene = attrs.evolve(scene, toggles=Toggles(ambient_occlusion=False))
     image = reference.replicate(scene, correct("ambient", "all"), spp=2, seed=SEED)
@@ -86,9 +100,10 @@ def test_ambient_occlusion_off_is_the_weight_times_the_light():
     np.testing.assert_allclose(paper, np.pi * image, rtol=1e-6)
 
 
-def inside(material: Material, **fields) -> Scene:
+def inside(material: Material, **changes) -> Scene:
     """A camera and a point light of intensity π at the centre of a unit sphere."""
-    fields = {"lights": (PointLight((0.0, 0.0, 0.0), (np.pi, np.pi, np.pi)),)} | fields
+    lights = (PointLight((0.0, 0.0, 0.0), (np.pi, np.pi, np.pi)),)
+    fields: dict[str, Any] = {"lights": lights} | changes
     camera = Camera(position=(0.0, 0.0, 0.0), target=(1.0, 0.3, 0.2), fov=120.0, pixel="centre")
     return Scene("inside", camera, (sphere(material),), resolution=(32, 32), **fields)
 
@@ -240,7 +255,9 @@ def test_lights_are_black_surfaces_in_every_term():
     off = attrs.evolve(scene, toggles=Toggles(lighting=False))
     assert not reference.replicate(off, correct("direct", "first-hit"), spp=4, seed=SEED).any()
     same = reference.replicate(off, correct("ambient", "all"), spp=4, seed=SEED)
-    np.testing.assert_array_equal(same, reference.replicate(scene, correct("ambient", "all"), spp=4, seed=SEED))
+    np.testing.assert_array_equal(
+        same, reference.replicate(scene, correct("ambient", "all"), spp=4, seed=SEED)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -250,7 +267,9 @@ def cubes() -> Scene:
         "cube", Mesh.from_arrays(box.vertices + [0, 0, 0.5], box.faces), Material(gloss=0.4, f0=WHITE)
     )
     lamp = attrs.evolve(plane(0.5, height=-2.0, name="lamp"), emission=(9.0, 8.0, 7.0))
-    lamp = attrs.evolve(lamp, mesh=attrs.evolve(lamp.mesh, vertices=-lamp.mesh.vertices, faces=lamp.mesh.faces[:, ::-1]))
+    lamp = attrs.evolve(
+        lamp, mesh=attrs.evolve(lamp.mesh, vertices=-lamp.mesh.vertices, faces=lamp.mesh.faces[:, ::-1])
+    )
     return Scene(
         "cubes",
         Camera(position=(3.0, 2.0, 2.0), target=(0.0, 0.0, 0.4)),
@@ -274,9 +293,7 @@ def moved(scene: Scene, scale: float, shift: np.ndarray) -> Scene:
             scene.camera, position=point(scene.camera.position), target=point(scene.camera.target)
         ),
         objects=tuple(
-            attrs.evolve(
-                thing, mesh=Mesh.from_arrays(thing.mesh.vertices * scale + shift, thing.mesh.faces)
-            )
+            attrs.evolve(thing, mesh=Mesh.from_arrays(thing.mesh.vertices * scale + shift, thing.mesh.faces))
             for thing in scene.objects
         ),
         lights=tuple(
@@ -312,7 +329,9 @@ def test_seeds(cubes):
     for seed, number in [(1, 1), (2, 0), (2, 1)]:
         other = reference.replicate(cubes, limit, spp=4, seed=seed, replicate=number)
         assert (other != image).any(axis=-1).sum() > 0.5 * image.any(axis=-1).sum() > 50
-    seeds = {reference.rng_seed(limit, 1, number) + i for number in range(64) for i in range(reference.PASSES)}
+    seeds = {
+        reference.rng_seed(limit, 1, number) + i for number in range(64) for i in range(reference.PASSES)
+    }
     assert len(seeds) == 64 * reference.PASSES
 
 

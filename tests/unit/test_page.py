@@ -1,0 +1,358 @@
+"""Pages of a synthetic run: every verdict, nulls and missing fields, all links, no network."""
+
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urldefrag
+
+import numpy as np
+import pytest
+import xarray
+from PIL import Image
+
+from renderer.terms import VARIANTS
+from reports import page
+from reports.page import charts, digits, method, pictures
+
+VERDICTS = ["EQUIVALENT", "BIASED", "AS PREDICTED", "NOT AS PREDICTED", "UNDERPOWERED", "ABSENT", None]
+SIZE = 48
+SCENES = ["two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey <&>"]
+
+
+def region(name, rng):
+    bias = 0.002 * rng.standard_normal()
+    return {
+        "region": name, "channel": "green", "bias": bias, "low": bias - 0.001, "high": bias + 0.001,
+        "detectable_bias": 0.004,
+    }  # fmt: skip
+
+
+def rows_of(scene, term, variant, kind, verdict, rng):
+    """Rows of a cell as a run writes them: prefixes without bias, one judged row, two comparisons."""
+    common = {"scene": scene, "term": term, "variant": variant, "kind": kind, "scope": "all"}
+    level = 0.2 if kind == "right" else 0.5
+    for power in range(7):
+        samples = 2**power
+        error = 0.0 if verdict == "ABSENT" else level * samples**-0.5 * np.exp(0.05 * rng.standard_normal())
+        yield common | {
+            "against": "own", "samples": samples, "replicates": 16, "seconds": 0.16 * samples, "verdict": None,
+            "rmse": error, "rmse_low": 0.9 * error, "rmse_high": 1.1 * error, "relmse": 0.01,
+            "ssim": 1 - 0.3 / samples, "bias": None, "sentence": None, "warnings": [],
+        }  # fmt: skip
+    bias = 0.004 * rng.standard_normal()
+    judged = {
+        "against": "own", "samples": 128, "replicates": 16, "reference_samples": 64, "reference_replicates": 16,
+        "seconds": 20.5, "reference_seconds": 300.2, "compile_seconds": 4.0, "rmse": 0.09 * level,
+        "rmse_low": 0.08 * level, "rmse_high": 0.1 * level, "relmse": 3e-5,
+        "ssim": 0.9991, "bias": bias, "bias_low": bias - 0.002, "bias_high": bias + 0.002,
+        "channels": [region("image", rng)], "objects": [region("steel <cube>", rng)], "standard_error": 0.0011,
+        "margin": 0.01, "allowance": 0.0, "tests": 500, "family_low": bias - 0.005, "family_high": bias + 0.005,
+        "rms_bias": -0.0004, "rms_bias_high": 0.004, "place": "tile x 0-15, y 16-31", "predicted_bias": 0.0,
+        "detectable_bias": 0.006, "slope": 1.02, "slope_low": 0.9, "slope_high": 1.1, "floor": -1e-7,
+        "cause": "a = 1.02 [0.90, 1.10]: as independent samples without bias", "verdict": verdict,
+        "sentence": f"{verdict}: 12 tests of means, 2 of shape, 1 of place, each at 5%/500; luminance bias.",
+        "warnings": ["3 replicates of ours: fewer than 16"] if verdict == "UNDERPOWERED" else [],
+    }  # fmt: skip
+    if verdict == "UNDERPOWERED":
+        judged |= {"samples_to_margin": 4096, "seconds_to_margin": 656.0}
+    if verdict == "ABSENT":
+        judged |= dict.fromkeys(("slope", "slope_low", "slope_high", "floor", "cause", "relmse"))
+    yield common | judged
+    for against in ("correct", "physical"):
+        yield common | {
+            "against": against, "samples": 128, "replicates": 16, "rmse": 0.5, "bias": 2.1416, "bias_low": 2.13,
+            "bias_high": 2.15, "predicted_bias": 2.14159, "verdict": None,
+        }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A finished run's folder with its pages."""
+    folder = tmp_path_factory.mktemp("compare")
+    synthesise(folder)
+    page.write(folder)
+    return folder
+
+
+def synthesise(folder: Path) -> None:
+    """`results.json` and `results.nc` of scenes that never were."""
+    rng = np.random.default_rng(7)
+    keys = [(v.term, v.name, v.kind) for table in VARIANTS.values() for v in table.values()]
+    keys.append(("total", "default", "right"))
+    cells, described = [], {}
+    y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE
+    for s, scene in enumerate(SCENES):
+        verdicts = [VERDICTS[(s + 2 * c) % len(VERDICTS)] for c in range(len(keys))]
+        for (term, variant, kind), verdict in zip(keys, verdicts, strict=True):
+            cells += rows_of(scene, term, variant, kind, verdict, rng)
+        base = np.stack([x + 0.2 * s, y, 0.5 + 0.3 * np.sin(9 * x * y)], axis=-1)
+        reference = np.stack([base * (1 + 0.2 * c) for c in range(len(keys) + 1)])
+        image = reference[:-1] + 0.02 * rng.standard_normal(reference[:-1].shape)
+        image[0, 3, 4] = np.nan
+        dims = "y", "x", "channel"
+        xarray.Dataset(
+            {
+                "image": (("cell", *dims), image.astype(np.float32)),
+                "image_variance": (("cell", *dims), np.zeros_like(image, np.float32)),
+                "reference": (("limit", *dims), reference.astype(np.float32)),
+                "reference_variance": (("limit", *dims), np.zeros_like(reference, np.float32)),
+            },
+            {
+                "cell_term": ("cell", [term for term, _, _ in keys]),
+                "cell_variant": ("cell", [variant for _, variant, _ in keys]),
+                "limit_name": ("limit", [f"limit {c}" for c in range(len(keys))] + ["total physical"]),
+                "own": ("cell", np.arange(len(keys))),
+                "correct": ("cell", np.arange(len(keys))),
+                "physical": ("cell", [-1] * (len(keys) - 1) + [len(keys)]),
+            },
+            {"exposure": 0.8},
+        ).to_netcdf(folder / "results.nc", group=scene, mode="a" if s else "w", engine="h5netcdf")
+        described[scene] = {
+            "resolution": [SIZE, SIZE], "exposure": 0.8, "scope": "all", "max_bounces": 2, "digest": "3f" * 32,
+            "objects": ["ground", "steel <cube>"],
+            "settings": {"pixel rule": "jitter", "ambient light": [0.5, 0.5, 0.8], "lights drawn": False},
+            "skips": [{"term": "direct", "work": "photon maps", "runs": False, "reason": "the scene has no light"}],
+        }  # fmt: skip
+    results = {
+        "schema": 1,
+        "versions": {"termwise": "0.1.0", "python": "3.11.2", "mitsuba": "3.9.1", "numba": "0.68.1"},
+        "settings": {
+            "study": "standard", "seed": 1, "backend": "llvm_ad_rgb", "machine": "x86_64", "cores": 2,
+            "command": "termwise compare --study <standard>", "alpha": 0.05, "tests": 500,
+            "options": {"replicates": 16, "intersection": "watertight, float64"}, "scenes": described,
+        },
+        "cells": cells,
+    }  # fmt: skip
+    (folder / "results.json").write_text(json.dumps(results), "utf-8")
+
+
+VOID = {"wbr", "meta", "link", "img", "br", "hr", "input"}
+
+
+class Reader(HTMLParser):
+    """Collects links, ids, text and images of a page, and checks that its elements nest."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links, self.loaded, self.ids, self.images, self.headers, self.open = [], [], [], [], [], []
+        self.text = ""
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+        if "id" in found:
+            self.ids.append(found["id"])
+        if tag == "a":
+            self.links.append(found["href"])
+        elif tag in ("img", "script") and "src" in found:
+            self.loaded.append(found["src"])
+        elif tag == "link":
+            self.loaded.append(found["href"])
+        if tag == "img":
+            self.images.append(found)
+        if tag == "th":
+            self.headers.append(found)
+
+    def handle_startendtag(self, tag, attrs):
+        pass
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag, f"{tag} closed out of order"
+
+    def handle_data(self, text):
+        self.text += text
+
+
+def read(path: Path) -> Reader:
+    return Reader(path.read_text("utf-8"))
+
+
+def pages(run: Path) -> list[Path]:
+    return [run / "index.html", run / "method.html", *sorted((run / "scenes").glob("*.html"))]
+
+
+def test_all_pages_exist_and_every_link_leads_somewhere(run):
+    assert len(pages(run)) == 2 + len(SCENES)
+    for path in pages(run):
+        reader = read(path)
+        assert len(set(reader.ids)) == len(reader.ids), path.name
+        for address in reader.links + reader.loaded:
+            assert "//" not in address, f"{path.name}: {address} needs the network"
+            file, anchor = urldefrag(address)
+            target = path.parent / unquote(file) if file else path
+            assert target.is_file(), f"{path.name}: {address}"
+            if anchor:
+                assert anchor in read(target).ids, f"{path.name}: {address}"
+
+
+def test_pictures_have_alternative_texts_and_tables_have_headers(run):
+    for path in pages(run):
+        reader = read(path)
+        assert all(len(image["alt"]) > 10 for image in reader.images)
+        assert all(header.get("scope") in ("row", "col") for header in reader.headers)
+
+
+def test_index_names_every_verdict_and_what_failed_first(run):
+    results = json.loads((run / "results.json").read_text("utf-8"))
+    text = read(run / "index.html").text
+    failed = [row for row in results["cells"] if row["verdict"] in ("BIASED", "NOT AS PREDICTED")]
+    judged = [row for row in results["cells"] if row["verdict"]]
+    assert f"An error is proven in {len(failed)} of {len(judged)} estimates" in text
+    for word in page.WORDS:
+        assert word in text
+    assert text.index("What needs attention") < text.index("Every estimate on every scene")
+
+
+def test_scene_page_shows_sentences_settings_and_skips(run):
+    text = read(run / "scenes" / "cornell_box.html").text
+    results = json.loads((run / "results.json").read_text("utf-8"))
+    for row in results["cells"]:
+        if row["scene"] == "cornell_box" and row.get("sentence"):
+            assert row["sentence"].removeprefix(f"{row['verdict']}: ") in text
+    assert "the scene has no light" in text
+    assert "steel <cube>" in text
+    assert "0.5, 0.5, 0.8" in text
+
+
+def test_an_earlier_run_leaves_nothing(run, tmp_path):
+    synthesise(tmp_path)
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "old.html").write_text("old")
+    page.write(tmp_path)
+    assert not (tmp_path / "scenes" / "old.html").exists()
+
+
+def test_a_run_of_another_schema_is_refused(tmp_path):
+    (tmp_path / "results.json").write_text('{"schema": 2}')
+    with pytest.raises(ValueError, match="schema = 2: allowed is 1"):
+        page.write(tmp_path)
+
+
+def test_picture_is_srgb_at_the_exposure(tmp_path):
+    radiance = np.full((2, 3, 3), 0.107, np.float32)
+    pictures.write_png(tmp_path / "x.png", radiance, exposure=2.0)
+    shown = np.asarray(Image.open(tmp_path / "x.png"))
+    # IEC 61966-2-1: 1.055 * 0.214^(1 / 2.4) - 0.055 = 0.5
+    assert shown.shape == (2, 3, 3)
+    assert np.all(np.abs(shown.astype(int) - 127.5) <= 1)
+
+
+def test_error_colours_are_white_at_zero_blue_below_red_above():
+    colours = pictures.diverge(np.array([-2.0, -1.0, 0.0, 1.0, np.nan]), scale=1.0).astype(int)
+    assert colours[2].tolist() == [255, 255, 255]
+    assert colours[0].tolist() == colours[1].tolist()
+    assert colours[1][2] > colours[1][0]
+    assert colours[3][0] > colours[3][2]
+    assert colours[4].tolist() == pictures.INVALID.tolist()
+
+
+def test_relative_error_is_signed_and_relative_to_the_mean():
+    reference = np.full((2, 2, 3), 0.5)
+    ours = reference.copy()
+    ours[0, 0] += 0.05
+    error, scale = pictures.relative_error(ours, reference)
+    assert scale == pytest.approx(0.5)
+    np.testing.assert_allclose(error, [[0.1, 0], [0, 0]], atol=1e-12)
+
+
+def test_error_scale_ignores_a_firefly_and_survives_no_error():
+    error = np.full((100, 100), 0.011)
+    error[0, 0] = 1e6
+    assert pictures.error_scale([error]) == pytest.approx(0.011)
+    assert pictures.error_scale([np.zeros((3, 3))]) == 1.0
+
+
+def test_sentence_stands_without_its_verdict_and_with_true_minus_signs():
+    row = {"verdict": "BIASED", "sentence": "BIASED: luminance -0.12% [-0.2%, +0.1%], tile x 0-15"}
+    assert page._sentence(row) == "Luminance −0.12% [−0.2%, +0.1%], tile x 0-15"
+
+
+def test_band_of_a_chart_is_drawn_where_it_is_given():
+    row = {"slope": None, "floor": None, "seconds": 1.0, "replicates": 1, "rmse_low": None, "rmse_high": None}
+    rows = [row | {"samples": n, "rmse": 1 / n} for n in (1, 2, 4)]
+    banded = [row | {"rmse_low": 0.9 * row["rmse"], "rmse_high": 1.1 * row["rmse"]} for row in rows]
+    for given, expected in ((rows, 0), (banded, 2)):
+        figure = charts.convergence({"cosine": given})
+        assert figure is not None
+        assert sum(each.get("fill") == "toself" for each in figure["data"]) == expected
+    assert charts.convergence({"cosine": rows[:1]}) is None
+
+
+def test_fit_of_a_chart_passes_through_exact_errors():
+    samples = [1, 2, 4, 8, 16]
+    square = [1e-4 + 0.04 * n**-1.3 for n in samples]
+    rows = [
+        {"samples": n, "rmse": q**0.5, "slope": None, "floor": None, "seconds": n, "replicates": 1}
+        | {"rmse_low": None, "rmse_high": None}
+        for n, q in zip(samples, square, strict=True)
+    ]
+    rows[-1] |= {"slope": 1.3, "floor": 1e-4}
+    figure = charts.convergence({"cosine": rows})
+    assert figure is not None
+    fits = [each for each in figure["data"] if each["mode"] == "lines" and each.get("name") != "1/√N"]
+    assert len(fits) == 2
+    for fit in fits:
+        # One sample takes one second here, so both axes have the same points.
+        expected = np.sqrt(1e-4 + 0.04 * np.array(fit["x"]) ** -1.3)
+        np.testing.assert_allclose(fit["y"], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (digits.interval(0.00021, -0.0006, 0.00102), "+0.021 % [−0.060, +0.102]"),
+        (digits.plus_minus(-0.0312, -0.05, -0.0124), "−3.1 ± 1.9 %"),
+        (digits.percent(None), "–"),
+        (digits.number(0.0), "0"),
+        (digits.number(-4.56e-7), "−4.56 × 10⁻⁷"),
+        (digits.number(0.012345), "0.0123"),
+        (digits.number(12345), "12 345"),
+        (digits.similarity(0.99997), "> 0.999"),
+        (digits.similarity(1.0), "1.000"),
+        (digits.two_digits(-1.7), "−170 %"),
+        (digits.two_digits(0.072), "+7.2 %"),
+        (digits.duration(0.0342), "34 ms"),
+        (digits.duration(0.247), "0.25 s"),
+        (digits.duration(250.0), "4 min 10 s"),
+        (digits.setting([0.5, True, None]), "0.5, on, –"),
+    ],
+)
+def test_numbers_as_read(text, expected):
+    assert text.replace(digits.THIN, " ") == expected
+
+
+def test_formulas_of_all_variants_become_mathml_with_alternative_text():
+    for table in VARIANTS.values():
+        for variant in table.values():
+            for latex in (variant.equation, variant.converges_to):
+                markup = method.mathml(latex)
+                assert markup.startswith("<math ")
+                assert "\\" not in markup.split(">", 1)[1], f"not converted: {latex}"
+
+
+def test_a_formula_that_is_none_is_named():
+    with pytest.raises(ValueError, match="is not LaTeX"):
+        method.mathml(r"\frac{1}{")
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of WCAG 2.2."""
+    values = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+@pytest.mark.parametrize("theme", [0, 1], ids=["light", "dark"])
+def test_contrast_is_that_of_wcag_aa(theme):
+    style = (Path(page.__file__).parent / "static" / "style.css").read_text("utf-8")
+    block = style.split(":root {")[1 + theme].split("}")[0]
+    colours = dict(line.strip(" -;").split(": ") for line in block.splitlines() if ": #" in line)
+    pairs = [(front, "page") for front in ("text", "quiet", "link")]
+    pairs += [(front, f"{front}-back") for front in ("good", "open", "bad", "none")]
+    for front, back in pairs:
+        lights = sorted([luminance(colours[front]), luminance(colours[back])])
+        assert (lights[1] + 0.05) / (lights[0] + 0.05) >= 4.5, (front, back)
