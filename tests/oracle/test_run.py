@@ -1,0 +1,469 @@
+"""A whole run, small: what `termwise compare` measures, keeps, writes and says, from a scene file to exit status."""
+
+import contextlib
+import io
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import attrs
+import numpy as np
+import OpenEXR
+import pytest
+import xarray
+
+from reports import cells, cli, run, study
+from reports.images import read_exr
+from scenes.store import PROJECT, cache_folder
+from scenes.terms import TERMS
+
+# Every term but background, which is absent; a floor under a lamp, half of it out of the picture.
+SCENE = """
+max_bounces = 1
+resolution = [12, 9]
+
+[camera]
+position = [0, -1, 3]
+target = [0, 0, 0]
+
+[ambient]
+color = [0.5, 0.4, 0.3]
+range = 1.0
+
+[[objects]]
+shape = "rectangle"
+name = "floor"
+origin = [-3, -3, 0]
+edges = [[6, 0, 0], [0, 6, 0]]
+gloss = 0.3
+f0 = [0.9, 0.8, 0.7]
+
+[[lights]]
+position = [0, 0, 2]
+intensity = [3, 3, 3]
+"""
+
+STUDY = """
+scenes = ["SCENE"]
+resolution = [12, 9]
+replicates = 4
+reference_replicates = 4
+reference_spp = 4
+physical_spp = 2
+photons = 200
+
+[samples]
+ambient = 2
+direct = 2
+specular = 2
+background = 2
+"""
+
+# Issue A, part 4: what every row of `results.json` has at least.
+KEYS = (
+    "scene term variant scope against samples replicates seconds rmse relmse ssim bias bias_low bias_high "
+    "standard_error margin allowance tests family_low family_high rms_bias rms_bias_high place predicted_bias "
+    "detectable_bias samples_to_margin seconds_to_margin verdict"
+).split()
+
+
+class Finished(NamedTuple):
+    """Exit status, standard output and error of `termwise compare ... --json`, its folder, and what was computed."""
+
+    status: Any
+    output: str
+    messages: str
+    folder: Path
+    computed: int
+    rendered: int
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `scene.toml` and `study.toml`."""
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "study.toml").write_text(STUDY.replace("SCENE", str(folder / "scene.toml")))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def patched() -> Iterator[pytest.MonkeyPatch]:
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def compare(files: Path, patched: pytest.MonkeyPatch) -> Callable[..., Finished]:
+    """A function: `termwise compare --study ...` in this process, its replicates in a cache that starts empty."""
+    patched.setattr(run, "cache_folder", lambda: files / "cache")
+    counts = {"computed": 0, "rendered": 0}
+    prefixes, replicate_parts = run.Engine.prefixes, run.store.reference.replicate_parts
+
+    def counted_prefixes(self: Any, *arguments: Any, **settings: Any) -> Any:
+        counts["computed"] += 1
+        return prefixes(self, *arguments, **settings)
+
+    def counted_parts(*arguments: Any, **settings: Any) -> Any:
+        counts["rendered"] += 1
+        return replicate_parts(*arguments, **settings)
+
+    patched.setattr(run.Engine, "prefixes", counted_prefixes)
+    patched.setattr(run.store.reference, "replicate_parts", counted_parts)
+
+    def command(*arguments: str, out: str = "out", study_file: str = "study.toml") -> Finished:
+        counts.update(computed=0, rendered=0)
+        argv = [
+            "termwise",
+            "compare",
+            "--study",
+            str(files / study_file),
+            "--out",
+            str(files / out),
+            *arguments,
+        ]
+        output, messages = io.StringIO(), io.StringIO()
+        patched.setattr("sys.argv", argv)
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(messages):
+            with pytest.raises(SystemExit) as ended:
+                cli.main()
+        folder = files / out / "compare"
+        return Finished(ended.value.code, output.getvalue(), messages.getvalue(), folder, **counts)
+
+    return command
+
+
+@pytest.fixture(scope="module")
+def first(compare: Callable[..., Finished]) -> Finished:
+    """The run that finds nothing."""
+    return compare("--json")
+
+
+@pytest.fixture(scope="module")
+def results(first: Finished) -> dict[str, Any]:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads((first.folder / "results.json").read_text("utf-8"), parse_constant=refuse)
+
+
+def test_one_object_on_standard_output(first: Finished, results: dict[str, Any]):
+    assert first.status in (0, 1)  # so few samples may be wrong by chance; the status is tested below
+    assert json.loads(first.output) == results
+    assert first.messages == ""
+
+
+def test_every_row_has_every_key(results: dict[str, Any]):
+    assert results["schema"] == 1
+    assert set(results) == {"schema", "versions", "settings", "cells"}
+    for row in results["cells"]:
+        assert [key for key in KEYS if key not in row] == []
+
+
+def test_rows_are_those_of_the_study(results: dict[str, Any]):
+    """Prefixes 1 and 2 of each variant against own, its last against correct, the default against physical; the sum."""
+    found = [(r["term"], r["variant"], r["against"], r["samples"]) for r in results["cells"]]
+    expected = [("total", "default", against, 2) for against in ("own", "physical")]
+    for term in TERMS:
+        names = getattr(study.Variants(), term)
+        expected += [(term, name, "own", samples) for name in names for samples in (1, 2)]
+        expected += [(term, name, "correct", 2) for name in names]
+        expected += [(term, names[0], "physical", 2)]
+    assert sorted(found) == sorted(expected)
+
+
+def test_verdicts_are_due_against_own_at_the_largest_count(results: dict[str, Any]):
+    unjudged = {("direct", "paper")}  # it has no limit to be judged against
+    for row in results["cells"]:
+        due = (
+            row["against"] == "own" and row["samples"] == 2 and (row["term"], row["variant"]) not in unjudged
+        )
+        assert (row["verdict"] is not None) == due, row
+        measured = due and row["verdict"] != "ABSENT"
+        for key in ("tests", "family_low", "family_high", "detectable_bias"):
+            assert (row[key] is not None) == measured, (key, row)
+
+
+def test_the_level_counts_the_tests_of_all_judged_rows(results: dict[str, Any]):
+    """A judged row tests 3 channels of the image and of each object, and, unless kernel-based, 2 shapes and a place."""
+    judged = [row for row in results["cells"] if row["tests"] is not None]
+    kernel = {"direct", "total"}  # scope `all`: scattered light comes from photons
+    tests = 0
+    for row in judged:
+        objects = {region["region"] for region in row["objects"]}
+        is_kernel = row["term"] in kernel and row["variant"] in ("default", "next-event")
+        tests += 3 * (1 + len(objects)) + (0 if is_kernel else 3)
+    assert {row["tests"] for row in judged} == {tests}
+    assert results["settings"]["tests"] == tests
+
+
+def test_absent_names_its_reason(results: dict[str, Any]):
+    (row,) = (row for row in results["cells"] if row["term"] == "background" and row["verdict"])
+    assert row["verdict"] == "ABSENT"
+    assert row["reasons"] == ["the sky is black and lights are not drawn"]
+    assert row["reasons"][0] in row["sentence"]
+
+
+def test_paper_rows_predict_their_factors(results: dict[str, Any]):
+    against = {(r["term"], r["variant"]): r for r in results["cells"] if r["against"] == "correct"}
+    assert against["ambient", "paper"]["predicted_bias"] == pytest.approx(np.pi - 1)
+    assert against["specular", "paper"]["predicted_bias"] == pytest.approx(4 / np.pi - 1)
+
+
+def test_bias_is_that_of_the_images(first: Finished, results: dict[str, Any]):
+    """Signed, of the luminance, relative to the reference's mean, from the means in `results.nc`."""
+    weights = np.array([0.2126, 0.7152, 0.0722])
+    rows = {
+        (r["term"], r["variant"]): r for r in results["cells"] if r["against"] == "own" and r["samples"] == 2
+    }
+    with xarray.open_dataset(first.folder / "results.nc", group="scene", engine="h5netcdf") as group:
+        for index in range(group.sizes["cell"]):
+            row = rows[str(group.cell_term[index].item()), str(group.cell_variant[index].item())]
+            pair = group.image[index], group.reference[int(group.own[index])]
+            ours, reference = (
+                float(np.mean(each.values, axis=(0, 1), dtype=float) @ weights) for each in pair
+            )
+            if reference:
+                assert row["bias"] == pytest.approx(ours / reference - 1, abs=1e-5)
+
+
+def test_dataset(first: Finished):
+    with xarray.open_dataset(first.folder / "results.nc", group="scene", engine="h5netcdf") as group:
+        assert dict(group.sizes) | {"cell": 0, "limit": 0} == {
+            "cell": 0,
+            "limit": 0,
+            "y": 9,
+            "x": 12,
+            "channel": 3,
+        }
+        assert group.image.dims == group.image_variance.dims == ("cell", "y", "x", "channel")
+        assert group.reference.dims == group.reference_variance.dims == ("limit", "y", "x", "channel")
+        assert group.channel.values.tolist() == ["red", "green", "blue"]
+        names = group.limit_name.values.tolist()
+        assert len(set(names)) == len(names)
+        for which in ("own", "correct", "physical"):
+            chosen = group[which].values
+            assert chosen.shape == (group.sizes["cell"],)
+            assert ((chosen >= 0) & (chosen < len(names))).all()
+        assert (group.image_variance.values >= 0).all()
+        assert group.attrs["units"] == "linear Rec. 709 radiance"
+        summed = sum(
+            group.image.sel(cell=i).values
+            for i, pair in enumerate(zip(group.cell_term.values, group.cell_variant.values, strict=True))
+            if pair
+            in (("ambient", "cosine"), ("direct", "next-event"), ("specular", "vndf"), ("background", "seen"))
+        )
+        total = group.image.values[group.cell_term.values.tolist().index("total")]
+        np.testing.assert_allclose(total, summed, rtol=1e-5, atol=1e-7)
+
+
+def test_term_images_have_named_parts_and_provenance(first: Finished, results: dict[str, Any]):
+    path = first.folder / "images" / "scene.exr"
+    parts = read_exr(path)
+    assert {"ambient.cosine", "direct.path", "specular.vndf", "background.seen", "total.default"} <= set(
+        parts
+    )
+    assert {"reference.total", "reference.total physical"} <= set(parts)
+    assert all(image.shape == (9, 12, 3) for image in parts.values())
+    with OpenEXR.File(str(path)) as file:
+        header = file.header()
+        assert header["scene"] == "scene"
+        assert header["digest"] == results["settings"]["scenes"]["scene"]["digest"]
+        assert json.loads(header["versions"]) == results["versions"]
+
+
+def test_a_second_run_computes_nothing(first: Finished, compare: Callable[..., Finished]):
+    again = compare("--json")
+    assert (again.computed, again.rendered) == (0, 0)
+    assert again.output == first.output
+    assert "no cell was computed" in again.messages
+    assert again.status == first.status
+
+
+def test_another_folder_computes_nothing_either(first: Finished, compare: Callable[..., Finished]):
+    """What is kept is found by content; only the measurements are made again."""
+    elsewhere = compare("--json", out="elsewhere")
+    assert (elsewhere.computed, elsewhere.rendered) == (0, 0)
+    same = {"settings", "versions", "schema"}
+    ours, theirs = json.loads(elsewhere.output), json.loads(first.output)
+    assert set(ours) == same | {"cells"}
+    for row, other in zip(ours["cells"], theirs["cells"], strict=True):
+        assert row | {"compile_seconds": 0} == other | {"compile_seconds": 0}
+
+
+def test_what_is_missing_is_computed_alone(first: Finished, compare: Callable[..., Finished], files: Path):
+    kept = sorted((files / "cache" / "cells").rglob("*.npz"))
+    kept[0].write_bytes(kept[0].read_bytes()[:100])
+    kept[1].unlink()
+    before = {path: path.stat().st_mtime_ns for path in kept[2:]}
+    assert compare(out="elsewhere", study_file="study.toml").computed == 0, (
+        "the report is whole and needs no cell"
+    )
+    third = compare("--json", out="third")
+    assert (third.computed, third.rendered) == (2, 0)
+    assert {path: path.stat().st_mtime_ns for path in kept[2:]} == before
+
+
+def test_a_damaged_report_is_written_again(first: Finished, compare: Callable[..., Finished]):
+    for damage in (
+        lambda: (first.folder / "results.json").write_text('{"schema": 1, "settings": {'),
+        lambda: (first.folder / "results.nc").unlink(),
+        lambda: (first.folder / "index.html").unlink(),
+    ):
+        damage()
+        again = compare("--json")
+        assert again.computed == 0
+        assert "no cell was computed" not in again.messages
+        assert all((first.folder / name).is_file() for name in ("results.json", "results.nc", "index.html"))
+
+
+def test_a_run_that_is_interrupted_goes_on(first: Finished, compare: Callable[..., Finished], files: Path):
+    (files / "seeded.toml").write_text(
+        (files / "study.toml").read_text().replace("scenes", "seed = 2\nscenes")
+    )
+    intact: Any = cells.cell
+    calls = []
+
+    def interrupted(engine: Any, variant: Any, **settings: Any) -> cells.Cell:
+        def progress() -> None:
+            calls.append(variant.name)
+            if len(calls) == 6:
+                raise KeyboardInterrupt
+
+        return intact(engine, variant, **settings | {"progress": progress})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cells, "cell", interrupted)
+        stopped = compare("--json", out="seeded", study_file="seeded.toml")
+    assert stopped.status == 2
+    assert stopped.output == ""
+    assert stopped.messages.count("\n") == 1
+    assert "interrupted" in stopped.messages
+    assert stopped.computed == 6
+    assert not (stopped.folder / "results.json").exists()
+    assert not [path for path in files.rglob(".*") if path.is_file()], "a temporary file was left"
+    goes_on = compare("--json", out="seeded", study_file="seeded.toml")
+    assert goes_on.status in (0, 1)
+    assert goes_on.rendered == 0
+    assert goes_on.computed == first.computed - 6
+
+
+def test_the_digest_follows_study_and_scene(files: Path):
+    chosen = study.load(files / "study.toml")
+    scenes = run.scenes_of(chosen)
+    changed = [
+        run.digest(attrs.evolve(chosen, seed=2), scenes, "scalar_rgb"),
+        run.digest(attrs.evolve(chosen, reference_spp=5), scenes, "scalar_rgb"),
+        run.digest(chosen, (attrs.evolve(scenes[0], max_bounces=2),), "scalar_rgb"),
+        run.digest(chosen, (attrs.evolve(scenes[0], exposure=2.0),), "scalar_rgb"),
+        run.digest(chosen, (attrs.evolve(scenes[0], name="another"),), "scalar_rgb"),
+        run.digest(chosen, scenes, "llvm_ad_rgb"),
+    ]
+    assert len({run.digest(chosen, scenes, "scalar_rgb"), *changed}) == 1 + len(changed)
+
+
+def test_exit_status_1_where_an_error_is_proven(
+    compare: Callable[..., Finished], patched: pytest.MonkeyPatch
+):
+    intact = cells.cell
+
+    def doubled(engine: Any, variant: Any, **settings: Any) -> cells.Cell:
+        cell = intact(engine, variant, **settings)
+        return attrs.evolve(cell, images=2 * cell.images) if variant.name == "cosine" else cell
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cells, "cell", doubled)
+        outcome = compare("--json", out="doubled")
+    assert outcome.status == 1
+    words = {
+        (r["term"], r["variant"]): r["verdict"] for r in json.loads(outcome.output)["cells"] if r["verdict"]
+    }
+    assert words["ambient", "cosine"] == "BIASED"
+
+
+# A process of its own: what a signal or a full disk does.
+
+
+def _process(
+    files: Path, study_file: str, out: str, *, largest_file: int = resource.RLIM_INFINITY
+) -> subprocess.Popen[str]:
+    """`termwise compare` with the caches of this module, but kernels and probes of the project."""
+    code = (
+        "import resource, sys; from pathlib import Path; from reports import cli, run;"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file}, {largest_file}));"
+        f"run.cache_folder = lambda: Path({str(files / 'cache')!r}); cli.main()"
+    )
+    arguments = ["compare", "--study", str(files / study_file), "--out", str(files / out)]
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        cwd=PROJECT,
+        env=os.environ | {"TERMWISE_CACHE": str(cache_folder())},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _larger(files: Path, name: str) -> str:
+    """A study that shares no replicate with the others."""
+    text = (files / "study.toml").read_text()
+    (files / f"{name}.toml").write_text(
+        text.replace("[12, 9]", "[24, 18]").replace("scenes", "seed = 3\nscenes")
+    )
+    return f"{name}.toml"
+
+
+def test_ctrl_c_is_one_line_and_the_same_command_goes_on(first: Finished, files: Path):
+    kept, larger = files / "cache", _larger(files, "signal")
+    before = len(list(kept.rglob("*.np[yz]")))
+    process = _process(files, larger, "signal")
+    deadline = time.monotonic() + 120
+    while (
+        len(list(kept.rglob("*.np[yz]"))) == before and process.poll() is None and time.monotonic() < deadline
+    ):
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    output, messages = process.communicate(timeout=120)
+    assert process.returncode == 2, messages
+    assert output == ""
+    assert (
+        messages
+        == "termwise: interrupted: finished replicates are kept, the same command goes on from there\n"
+    )
+    assert not (files / "signal" / "compare" / "results.json").exists()
+    assert not [path for path in files.rglob(".*") if path.is_file()], "a temporary file was left"
+    there = {path: path.stat().st_mtime_ns for path in kept.rglob("*.np[yz]")}
+    assert len(there) > before
+    process = _process(files, larger, "signal")
+    process.communicate(timeout=300)
+    assert process.returncode in (0, 1)
+    assert {path: path.stat().st_mtime_ns for path in there} == there
+
+
+@pytest.mark.parametrize("stage", ["replicates", "images", "results"])
+def test_a_full_disk_is_one_line(stage: str, first: Finished, files: Path):
+    """A limit on the size of files stands for the disk: EFBIG where a full one says ENOSPC."""
+    sizes = {path.name: path.stat().st_size for path in first.folder.rglob("*") if path.is_file()}
+    assert 1_000 < sizes["scene.exr"] < sizes["results.nc"]
+    study_file, largest = {
+        "replicates": (_larger(files, "full"), 100),
+        "images": ("study.toml", sizes["scene.exr"] - 100),
+        "results": ("study.toml", sizes["results.nc"] - 100),
+    }[stage]
+    process = _process(files, study_file, f"full {stage}", largest_file=largest)
+    output, messages = process.communicate(timeout=300)
+    assert process.returncode == 2, messages
+    assert output == ""
+    assert messages.startswith("termwise: ")
+    assert messages.count("\n") == 1, messages
+    assert {"images": "scene.exr", "results": "", "replicates": ""}[stage] in messages
+    assert not [path for path in files.rglob(".*") if path.is_file()], "a temporary file was left"
+    folder = files / f"full {stage}" / "compare"
+    assert not (folder / "results.json").exists()

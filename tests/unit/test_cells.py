@@ -1,0 +1,180 @@
+"""Replicates on disk: computed once, found again, never half a file, and named by all that decides their bits."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import pytest
+
+from renderer.terms import VARIANTS
+from renderer.tiles import powers_of_two
+from reports import cells
+from scenes.load import load
+from scenes.model import Photons, PointLight, Scene
+
+SAMPLES, REPLICATES = 4, 3
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return attrs.evolve(load("two_cubes"), resolution=(3, 2))
+
+
+class Recorder:
+    """Stands for the engine: an image that only (seed, replicate, samples) decide, and a list of what was asked for."""
+
+    def __init__(self, scene: Scene, interrupt_at: int | None = None) -> None:
+        self.scene, self.interrupt_at = scene, interrupt_at
+        self.compile_seconds = 0.0
+        self.asked: list[int] = []
+
+    def prefixes(self, variant: Any, *, samples: int, seed: int, replicate: int, chain: str) -> Iterator:
+        self.asked.append(replicate)
+        self.compile_seconds += 1.0
+        width, height = self.scene.resolution
+        for count in powers_of_two(samples):
+            if replicate == self.interrupt_at and count == samples:
+                raise KeyboardInterrupt
+            yield (
+                count,
+                np.random.default_rng((seed, replicate, count)).random((height, width, 3)),
+                0.5 * count,
+            )
+
+
+def take(engine: Recorder, folder: Path, **changes: Any) -> cells.Cell:
+    settings = {"samples": SAMPLES, "replicates": REPLICATES, "seed": 1, "chain": "path"} | changes
+    variant: Any = VARIANTS["ambient"]["cosine"]
+    taken: Any = engine
+    return cells.cell(taken, variant, folder=folder, progress=lambda: None, **settings)
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def test_shapes_and_seconds(scene: Scene, tmp_path: Path):
+    cell = take(Recorder(scene), tmp_path)
+    assert cell.samples == (1, 2, 4)
+    assert cell.images.shape == (REPLICATES, 3, 2, 3, 3)
+    assert cell.images.dtype == np.float32
+    np.testing.assert_array_equal(cell.seconds, [[0.5, 1.0, 2.0]] * REPLICATES)
+    assert cell.compile_seconds == REPLICATES
+
+
+def test_a_second_run_computes_nothing(scene: Scene, tmp_path: Path):
+    first, engine = take(Recorder(scene), tmp_path), Recorder(scene)
+    again = take(engine, tmp_path)
+    assert engine.asked == []
+    assert again.compile_seconds == 0
+    np.testing.assert_array_equal(again.images, first.images)
+    np.testing.assert_array_equal(again.seconds, first.seconds)
+
+
+def test_more_replicates_keep_those_there_are(scene: Scene, tmp_path: Path):
+    take(Recorder(scene), tmp_path)
+    engine = Recorder(scene)
+    take(engine, tmp_path, replicates=REPLICATES + 2)
+    assert engine.asked == [REPLICATES, REPLICATES + 1]
+
+
+def _truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def _flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 3] ^= 0xFF
+    path.write_bytes(bytes(content))
+
+
+def _unknown_compression(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[content.rindex(b"PK\x01\x02") + 10] = 0xEE  # its field in the central directory of a ZIP archive
+    path.write_bytes(bytes(content))
+
+
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    "truncated": _truncate,
+    "a byte flipped": _flip,
+    "empty": lambda path: path.write_bytes(b""),
+    "another format": lambda path: path.write_text("not an archive"),
+    "an unknown compression": _unknown_compression,
+    "without seconds": lambda path: np.savez(path, images=np.zeros((3, 2, 3, 3), np.float32)),
+    "of another size": lambda path: np.savez(
+        path, images=np.zeros((3, 5, 5, 3), np.float32), seconds=np.zeros(3)
+    ),
+    "missing": lambda path: path.unlink(),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_replicate_is_computed_again(damage: str, scene: Scene, tmp_path: Path):
+    first = take(Recorder(scene), tmp_path)
+    DAMAGE[damage](files(tmp_path)[1])
+    engine = Recorder(scene)
+    again = take(engine, tmp_path)
+    assert engine.asked == [1]
+    np.testing.assert_array_equal(again.images, first.images)
+
+
+def test_an_interrupted_run_leaves_whole_files_and_goes_on(scene: Scene, tmp_path: Path):
+    with pytest.raises(KeyboardInterrupt):
+        take(Recorder(scene, interrupt_at=1), tmp_path)
+    assert [path.name[-8:] for path in files(tmp_path)] == ["0000.npz"]
+    engine = Recorder(scene)
+    take(engine, tmp_path)
+    assert engine.asked == [1, 2]
+
+
+def test_an_interrupted_write_leaves_nothing(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def half(path: Path, **arrays: np.ndarray) -> None:
+        Path(path).write_bytes(b"half an archive")
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(np, "savez", half)
+        with pytest.raises(KeyboardInterrupt):
+            take(Recorder(scene), tmp_path)
+    assert files(tmp_path) == []
+
+
+def _key(scene: Scene, term: Any = "ambient", name: str = "cosine", **changes: Any) -> str:
+    settings = {"samples": SAMPLES, "seed": 1, "chain": "path"} | changes
+    return cells.key(scene, VARIANTS[term][name], **settings)
+
+
+def test_the_name_follows_what_decides_the_bits(scene: Scene):
+    first = scene.objects[0]
+    repainted = attrs.evolve(first, material=attrs.evolve(first.material, color=(0.1, 0.2, 0.3)))
+    changed = [
+        _key(scene, samples=8),
+        _key(scene, seed=2),
+        _key(scene, name="paper"),
+        _key(attrs.evolve(scene, resolution=(2, 3))),
+        _key(attrs.evolve(scene, ambient=attrs.evolve(scene.ambient, color=(0.5, 0.5, 0.5)))),
+        _key(attrs.evolve(scene, camera=attrs.evolve(scene.camera, fov=30.0))),
+        _key(attrs.evolve(scene, objects=(repainted, *scene.objects[1:]))),
+        _key(attrs.evolve(scene, toggles=attrs.evolve(scene.toggles, ambient_occlusion=False))),
+    ]
+    assert len({_key(scene), *changed}) == 1 + len(changed)
+
+
+def test_the_name_ignores_what_does_not(scene: Scene):
+    lamp = PointLight((0.0, 0.0, 3.0), (1.0, 1.0, 1.0))
+    for same in (
+        attrs.evolve(scene, name="another", exposure=2.0),
+        attrs.evolve(scene, lights=(lamp,), photons=Photons(count=7), max_bounces=5),
+    ):
+        assert _key(same) == _key(scene)
+        assert _key(scene, chain="next-event") == _key(scene)
+    assert _key(attrs.evolve(scene, lights=(lamp,)), "direct", "path") != _key(scene, "direct", "path")
+    assert _key(scene, "specular", "vndf", chain="next-event") != _key(scene, "specular", "vndf")
+
+
+def test_the_name_follows_the_sources(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    before = _key(scene)
+    monkeypatch.setattr(cells, "sources_digest", lambda *folders: "other sources")
+    assert _key(scene) != before

@@ -1,0 +1,137 @@
+"""Compilation: an edit reaches every kernel that uses it, no fastmath, and kernels compile only when they run.
+
+Rationale: a cached function of Numba keeps the stale result of an edited callee in another module, which no test of
+numbers can show on a machine whose cache is fresh. The tests work on a copy of the project with a cache of its own.
+"""
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from renderer.jit import closure_digest
+
+pytestmark = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compilation is what is tested"
+)
+
+PROJECT = Path(__file__).resolve().parents[2]
+SOURCES = sorted((PROJECT / "renderer").rglob("*.py"))
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory) -> Path:
+    """A copy of the renderer and the scenes' Python sources."""
+    folder = tmp_path_factory.mktemp("project")
+    for package in ("renderer", "scenes"):
+        shutil.copytree(
+            PROJECT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__", "library")
+        )
+    return folder
+
+
+def run(folder: Path, code: str) -> str:
+    """Standard output of `code` run in a child process on the copy, compiled, with a cache of its own."""
+    environment = os.environ | {
+        "TERMWISE_CACHE": str(folder / "cache"),
+        "PYTHONPATH": str(folder),
+        "NUMBA_DISABLE_JIT": "0",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def edit(path: Path, before: str, after: str) -> None:
+    text = path.read_text("utf-8")
+    assert text.count(before) == 1
+    path.write_text(text.replace(before, after), "utf-8")
+
+
+def test_an_edited_callee_in_another_module_is_compiled_anew(copy):
+    """`camera_ray` is run, `vector.mad` that it calls is edited, and it is run again: the result is the edited one.
+
+    The caller's own file is unchanged, so Numba alone would load what it cached; undone, the first result is back.
+    """
+    code = """
+import numpy as np
+from renderer.arrays import from_scene
+from renderer.camera import camera_ray
+from renderer.rng import root
+from renderer.sobol import Sampler
+from scenes.model import Camera, Scene
+scene = Scene("s", Camera((0., 0., 0.), (0., 1., 0.), pixel="corner"), resolution=(4, 4))
+print(camera_ray(from_scene(scene).camera, 1, 3, Sampler(root(0, 0), np.uint32(0))).direction.x)
+"""
+    before = run(copy, code)
+    mad = "return Vec3(a.x * s + b.x, a.y * s + b.y, a.z * s + b.z)"
+    edit(copy / "renderer/vector.py", mad, mad.replace("a.x * s + b.x", "a.x * s - b.x"))
+    edited = run(copy, code)
+    edit(copy / "renderer/vector.py", mad.replace("a.x * s + b.x", "a.x * s - b.x"), mad)
+    assert edited != before
+    assert run(copy, code) == before
+
+
+def test_digest_changes_with_what_a_module_reaches_and_nothing_else(copy):
+    """Editing `sky` changes the digests of `sky` and of terms that import it, not those of `camera` and `vector`."""
+    code = "from renderer.jit import closure_digest as d; print(*(d(f'renderer.{m}') for m in {0!r}.split()))"
+    modules = "vector camera sky terms.ambient terms.specular"
+    before = run(copy, code.replace("{0!r}", repr(modules))).split()
+    with (copy / "renderer/sky.py").open("a") as file:
+        file.write("# a comment\n")
+    after = run(copy, code.replace("{0!r}", repr(modules))).split()
+    changed = {name for name, a, b in zip(modules.split(), before, after, strict=True) if a != b}
+    assert changed == {"sky", "terms.specular"}
+
+
+def test_digest_covers_transitive_imports():
+    """`terms.specular` reaches `vector` through others too, and modules that share no import differ."""
+    digests = {name: closure_digest(f"renderer.{name}") for name in ("vector", "rng", "terms.specular")}
+    assert len(set(digests.values())) == 3
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PROJECT)))
+def test_options_of_numba_are_named_in_one_place(path):
+    """No `fastmath` anywhere, and no use of numba's decorators outside jit.py (and simd.py's intrinsics)."""
+    tree = ast.parse(path.read_text("utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.keyword):
+            assert node.arg != "fastmath"
+        if isinstance(node, ast.Import | ast.ImportFrom) and path.name not in ("jit.py", "simd.py"):
+            names = (
+                [node.module or ""]
+                if isinstance(node, ast.ImportFrom)
+                else [item.name for item in node.names]
+            )
+            assert not any(name.split(".")[0] == "numba" for name in names)
+
+
+def test_kernels_compile_only_when_their_term_runs(copy):
+    """After one ambient render no kernel of another term and no photon kernel is compiled; skips compile nothing."""
+    code = """
+import attrs
+from renderer import render
+from renderer.jit import compiled_kernels
+from scenes.analytic import disc_over_plane
+scene = attrs.evolve(disc_over_plane(height=1.0, radius=1.0, sides=3), resolution=(1, 1))
+for term in ("direct", "specular", "background"):
+    render(scene, term, samples=1)
+print(*compiled_kernels(), sep=",")
+render(scene, "ambient", samples=1)
+print(*compiled_kernels(), sep=",")
+"""
+    skipped, rendered = run(copy, code).split("\n")
+    assert set(skipped.split(",")) <= {"_build"}
+    assert set(rendered.split(",")) == {"_build", "_occlusion"}
+
+
+def test_users_own_cache_folder_stays(copy):
+    """Numba's CACHE_DIR is set during our calls only."""
+    code = "from numba.core import config as c; before = c.CACHE_DIR; import renderer; print(c.CACHE_DIR == before)"
+    assert run(copy, code) == "True"

@@ -1,0 +1,437 @@
+"""The photon map: grid against KDTree, kernel mass against quadrature, and the laws of kernel bias.
+
+Rationale: density estimates are biased by design; what is tested is that the bias is the one that the derivation
+predicts and none besides: no disc area at borders, no photons from the other side, none counted twice.
+Photons are placed here by hand through `build`, so that the irradiance that they stand for is known.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import trimesh
+from scipy import integrate
+from scipy.spatial import KDTree
+
+from renderer import photon_map
+from renderer.arrays import SceneArrays, from_scene
+from renderer.geometry.bvh import STACK_SIZE
+from renderer.photon_map import (
+    MIN_NORMAL_COSINE,
+    build,
+    emit,
+    empty,
+    estimate_irradiance,
+    face_mass,
+    kernel_mass,
+    nearest_irradiance,
+    progressive_radius,
+)
+from renderer.rng import root
+from renderer.surface import Surface
+from renderer.vector import Vec3
+from scenes.analytic import closed_box, plate, sphere_inside, unit_sphere
+from scenes.model import Camera, Material, Mesh, Object, PointLight, Scene
+
+STACK = np.empty(STACK_SIZE, np.int32)
+UP = Vec3(0.0, 0.0, 1.0)
+
+
+def vec(values) -> Vec3:
+    return Vec3(*(float(x) for x in values))
+
+
+def arrays(*objects: Object) -> SceneArrays:
+    return from_scene(Scene("photons", Camera((0.0, -3.0, 1.0), (0.0, 0.0, 0.0)), objects))
+
+
+def unit_plate(name: str = "plate", z: float = 0.0) -> Object:
+    """[0, 1]² facing up; face 0 has x >= y, face 1 x <= y."""
+    return plate(name, (0.0, 0.0, z), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
+
+def at(point, normal=UP, face: int = 0, thing: int = 0, side: float = 1.0) -> Surface:
+    return Surface(vec(point), vec(normal), vec(normal), face, thing, side)
+
+
+def on_plate(xy: np.ndarray, power, radius: float, *, direction=(0.0, 0.0, 1.0)) -> photon_map.PhotonMap:
+    """Photons on `unit_plate` at (P, 2), each with its face."""
+    position = np.column_stack([xy, np.zeros(len(xy))])
+    face = np.where(xy[:, 0] >= xy[:, 1], 0, 1).astype(np.int32)
+    flux = np.broadcast_to(np.reshape(power, (-1, 1)), (len(xy), 3)).astype(float)
+    return build(position, np.tile(np.array(direction, float), (len(xy), 1)), flux, face, radius)
+
+
+# Queries on three objects, one of them smooth, that come within a radius of each other.
+
+
+@pytest.fixture(scope="module")
+def crowd() -> tuple[SceneArrays, np.random.Generator]:
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.5)
+    smooth = Object("ball", Mesh.from_arrays(ball.vertices + (0.5, 0.5, 0.6), ball.faces, smooth=True))
+    return arrays(unit_plate(), unit_plate("upper", 0.05), smooth), np.random.default_rng(1)
+
+
+def scattered(scene: SceneArrays, rng: np.random.Generator, count: int):
+    """Photons at random places of random faces, from random directions on both sides."""
+    face = rng.integers(0, len(scene.geometry.corners), count).astype(np.int32)
+    position = np.einsum("pc,pcx->px", rng.dirichlet((1, 1, 1), count), scene.geometry.corners[face])
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return position, direction, rng.uniform(0, 2, (count, 3)), face
+
+
+def random_query(scene: SceneArrays, rng: np.random.Generator) -> Surface:
+    g = scene.geometry
+    face = int(rng.integers(0, len(g.corners)))
+    b = rng.dirichlet((1, 1, 1))
+    side = float(rng.choice([-1.0, 1.0]))
+    normal = side * (b @ g.shading[face])
+    normal /= np.linalg.norm(normal)
+    return Surface(vec(b @ g.corners[face]), vec(normal), vec(normal), face, int(g.object[face]), side)
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.15, 3.0])
+def test_gather_against_kdtree(crowd, radius, compiled):
+    """The same sum with KDTree's neighbours: Simpson kernel, same object, normals within acos(0.1), same side.
+
+    Both divide by `kernel_mass`, which has tests of its own; the sums agree to 1e-12.
+    """
+    scene, rng = crowd
+    g = scene.geometry
+    radius = radius if compiled else max(radius, 0.2)  # few photons need a wide kernel
+    count = 3000 if compiled else 200
+    position, direction, power, face = scattered(scene, rng, count)
+    photons = build(position, direction, power, face, radius)
+    tree = KDTree(position)
+    filled = 0
+    for _ in range(60 if compiled else 12):
+        query = random_query(scene, rng)
+        near = np.array(tree.query_ball_point(query.point, radius), int)
+        expected = np.zeros(3)
+        for p in near:
+            normal = g.normals[face[p]]
+            cos = direction[p] @ normal
+            same = g.object[face[p]] == query.object and normal @ g.normals[query.face] > MIN_NORMAL_COSINE
+            if same and cos * query.side > 0:
+                weight = (
+                    3 / (np.pi * radius**2) * (1 - np.sum((position[p] - query.point) ** 2) / radius**2) ** 2
+                )
+                if g.smooth[face[p]]:
+                    weight *= max(0.0, direction[p] @ query.normal) / abs(cos)
+                expected += weight * power[p]
+        expected /= kernel_mass(scene, query.face, query.point, radius, STACK)
+        found = estimate_irradiance(scene, photons, query, STACK)
+        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12 * expected.max(initial=1))
+        filled += expected.any()
+    assert filled > 5
+
+
+@pytest.mark.parametrize("k", [1, 7, 50])
+def test_nearest_against_kdtree(crowd, k, compiled):
+    """The k nearest photons in front of the surface: their flux over pi r_k², by KDTree; all of them if fewer."""
+    scene, rng = crowd
+    count = 1500 if compiled else 150
+    position, direction, power, face = scattered(scene, rng, count)
+    for radius in (0.05, 2.0):
+        photons = build(position, direction, power, face, radius)
+        heap, chosen = np.empty(k), np.empty(k, np.int64)
+        for _ in range(25 if compiled else 6):
+            query = random_query(scene, rng)
+            front = direction @ np.array(query.normal) > 0
+            distance, index = map(np.atleast_1d, KDTree(position[front]).query(query.point, k=k))
+            expected = power[front][index].sum(axis=0) / (np.pi * distance[-1] ** 2)
+            found = nearest_irradiance(photons, query, k, heap, chosen)
+            np.testing.assert_allclose(found, expected, rtol=1e-11)
+
+
+def test_nearest_with_fewer_photons_than_k():
+    """Three photons and k = 10: all three over the farthest's disc, and no endless search."""
+    photons = on_plate(np.array([[0.5, 0.4], [0.5, 0.45], [0.6, 0.4]]), 1.0, 1e-3)
+    found = nearest_irradiance(photons, at((0.5, 0.4, 0.0)), 10, np.empty(10), np.empty(10, np.int64))
+    np.testing.assert_allclose(found, 3 / (np.pi * 0.01))
+
+
+def test_nearest_is_too_bright_by_k_over_k_minus_one(compiled):
+    """Uniform photons of irradiance 1: the mean over maps is k / (k - 1), as 1 / r_k² has the mean pi N / (k - 1)."""
+    rng = np.random.default_rng(2)
+    count, k = 400, 5
+    heap, chosen = np.empty(k), np.empty(k, np.int64)
+    values = [
+        nearest_irradiance(
+            on_plate(rng.uniform(size=(count, 2)), 1 / count, 0.1), at((0.5, 0.45, 0)), k, heap, chosen
+        ).x
+        for _ in range(3000 if compiled else 400)
+    ]
+    z = (np.mean(values) - k / (k - 1)) / (np.std(values, ddof=1) / np.sqrt(len(values)))
+    assert abs(z) < 4.5
+    assert np.std(values, ddof=1) / np.sqrt(len(values)) < 0.05
+
+
+# Kernel mass.
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "mass"),
+    [(0.5, 0.4, 1.0), (0.5, 0.0, 0.5), (1.0, 0.5, 0.5), (0.0, 0.0, 0.25), (1.0, 0.0, 0.25), (0.3, 0.3, 1.0)],
+)
+def test_mass_inside_at_an_edge_and_in_a_corner(x, y, mass):
+    """1, 1/2 and 1/4 by symmetry; (0.3, 0.3) lies on the diagonal that two faces share."""
+    scene = arrays(unit_plate())
+    assert kernel_mass(scene, 0, Vec3(x, y, 0.0), 0.2, STACK) == pytest.approx(mass, abs=1e-12)
+
+
+def test_mass_near_an_edge_by_the_kernel_s_marginal():
+    """At distance a from an edge: 1/2 + ∫_0^a m(t) dt, m the kernel's marginal 16 / (5 pi r) (1 - t²/r²)^2.5."""
+    scene = arrays(unit_plate())
+    r = 0.2
+    for a in (0.02, 0.1, 0.17):
+        expected = 0.5 + integrate.quad(lambda t: 16 / (5 * np.pi * r) * (1 - (t / r) ** 2) ** 2.5, 0, a)[0]
+        assert kernel_mass(scene, 0, Vec3(0.5, a, 0.0), r, STACK) == pytest.approx(expected, abs=1e-10)
+
+
+def test_mass_of_a_face_against_quadrature(compiled):
+    """Random triangles, tilted, and points in and off their planes, inside and outside: SciPy's dblquad to 1e-6."""
+    rng = np.random.default_rng(4)
+    positive = 0
+    for _ in range(12 if compiled else 5):
+        corners = rng.normal(size=(1, 3, 3))
+        a, b, c = corners[0]
+        normal = np.cross(b - a, c - a)
+        twice_area = np.linalg.norm(normal)
+        normal /= twice_area
+        r = rng.uniform(0.5, 2.0)
+        x = rng.dirichlet((1, 1, 1)) @ corners[0] + rng.normal(scale=0.4, size=3)
+
+        def kernel(v, u, a=a, b=b, c=c, x=x, r=r, twice_area=twice_area):
+            d2 = np.sum((a + u * (b - a) + v * (c - a) - x) ** 2) / (r * r)
+            return twice_area * 3 / (np.pi * r * r) * (1 - d2) ** 2 if d2 < 1 else 0.0
+
+        expected = integrate.dblquad(kernel, 0, 1, 0, lambda u: 1 - u, epsabs=2e-7, epsrel=1e-6)[0]
+        assert face_mass(corners, 0, vec(normal), vec(x), r) == pytest.approx(expected, abs=2e-6)
+        positive += expected > 1e-3
+    assert positive >= 3
+
+
+def test_mass_of_many_faces_by_monte_carlo(compiled):
+    """A tessellated sphere: the sum over faces whose normals lie within acos(0.1) against uniform points, 4.5 sigma."""
+    scene = arrays(sphere_inside("sphere", subdivisions=2, material=Material()))
+    g = scene.geometry
+    rng = np.random.default_rng(5)
+    area = 0.5 * np.linalg.norm(
+        np.cross(g.corners[:, 1] - g.corners[:, 0], g.corners[:, 2] - g.corners[:, 0]), axis=1
+    )
+    face = rng.choice(len(area), 200_000, p=area / area.sum())
+    points = np.einsum("pc,pcx->px", rng.dirichlet((1, 1, 1), len(face)), g.corners[face])
+    for query in (0, 77, 200):
+        x = g.corners[query].mean(axis=0)
+        r = 0.9
+        d2 = ((points - x) ** 2).sum(axis=1) / r**2
+        counted = g.normals[face] @ g.normals[query] > MIN_NORMAL_COSINE
+        value = (
+            area.sum() * 3 / (np.pi * r**2) * np.where((d2 < 1) & counted, (1 - np.minimum(d2, 1)) ** 2, 0)
+        )
+        error = value.std() / np.sqrt(len(value))
+        assert abs(kernel_mass(scene, query, vec(x), r, STACK) - value.mean()) < 4.5 * error
+
+
+def test_mass_on_a_fold_is_whole():
+    """Two half planes of one object that meet at 60 degrees: on the fold each carries a half, and all counts."""
+    c, s = 0.5, math.sqrt(0.75)
+    vertices = [[-1, 0, 0], [1, 0, 0], [1, -1, 0], [-1, -1, 0], [1, c, s], [-1, c, s]]
+    faces = [[0, 2, 1], [0, 3, 2], [0, 1, 4], [0, 4, 5]]
+    scene = arrays(Object("fold", Mesh.from_arrays(vertices, faces)))
+    # The rounding of the mesh to float32 tilts the second plane by 1e-8.
+    assert kernel_mass(scene, 0, Vec3(0.1, 0.0, 0.0), 0.3, STACK) == pytest.approx(1.0, abs=1e-7)
+
+
+# Estimates of a known irradiance.
+
+
+def test_constant_irradiance_is_unbiased_up_to_edges_and_corners(compiled):
+    """Uniform photons of irradiance 1; mean over maps is 1 inside, near and on edges and corners, within 4.5 sigma."""
+    rng = np.random.default_rng(6)
+    scene = arrays(unit_plate())
+    queries = [(0.5, 0.4), (0.5, 0.0), (0.95, 0.5), (0.0, 0.0), (0.98, 0.03), (0.3, 0.3)]
+    maps, count = (1500, 300) if compiled else (150, 100)
+    values = []
+    for _ in range(maps):
+        photons = on_plate(rng.uniform(size=(count, 2)), 1 / count, 0.15)
+        values.append([estimate_irradiance(scene, photons, at((*q, 0.0)), STACK).x for q in queries])
+    error = np.std(values, axis=0, ddof=1) / np.sqrt(maps)
+    assert (np.abs(np.mean(values, axis=0) - 1) < 4.5 * error).all()
+    assert error.max() < (0.05 if compiled else 0.3)
+
+
+def test_quadratic_irradiance_is_biased_by_the_law(compiled):
+    """E = 1 + 3 x² + 2 y², Laplacian 10: the estimate is E + r² ΔE / 16 for the Simpson kernel.
+
+    Photons on a regular grid stand for E without noise; the sum over the grid is the integral to 1e-5.
+    """
+    n = 250 if compiled else 120
+    x = (np.arange(n) + 0.5) / n
+    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    power = (1 + 3 * xy[:, 0] ** 2 + 2 * xy[:, 1] ** 2) / n**2
+    scene = arrays(unit_plate())
+    for r in (0.1, 0.2, 0.3):
+        photons = on_plate(xy, power, r)
+        for qx, qy in ((0.5, 0.4), (0.4, 0.61)):
+            found = estimate_irradiance(scene, photons, at((qx, qy, 0.0)), STACK).x
+            bias = found - (1 + 3 * qx**2 + 2 * qy**2)
+            assert bias == pytest.approx(r * r * 10 / 16, rel=0.01, abs=3e-4)
+
+
+def test_half_plane_is_blurred_by_the_marginal():
+    """E = 1 for x > 1/2: at distance a from the border the estimate is 1/2 + the kernel's marginal up to a."""
+    n, r = 200, 0.2
+    x = (np.arange(n) + 0.5) / n
+    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    photons = on_plate(xy[xy[:, 0] > 0.5], 1 / n**2, r)
+    scene = arrays(unit_plate())
+    for a in (-0.15, -0.05, 0.0, 0.1):
+        expected = 0.5 + integrate.quad(lambda t: 16 / (5 * np.pi * r) * (1 - (t / r) ** 2) ** 2.5, 0, a)[0]
+        found = estimate_irradiance(scene, photons, at((0.5 + a, 0.5, 0.0)), STACK).x
+        assert found == pytest.approx(expected, abs=2e-3)
+
+
+def test_photons_of_the_other_side_never_count():
+    """Photons that arrive from below are seen from below only, by both estimators."""
+    scene = arrays(unit_plate())
+    xy = np.random.default_rng(7).uniform(size=(200, 2))
+    below = on_plate(xy, 1.0, 0.3, direction=(0.0, 0.6, -0.8))
+    scratch = np.empty(5), np.empty(5, np.int64)
+    above = at((0.5, 0.4, 0.0))
+    assert estimate_irradiance(scene, below, above, STACK) == (0.0, 0.0, 0.0)
+    assert nearest_irradiance(below, above, 5, *scratch) == (0.0, 0.0, 0.0)
+    under = at((0.5, 0.4, 0.0), Vec3(0.0, 0.0, -1.0), side=-1.0)
+    assert estimate_irradiance(scene, below, under, STACK).x > 0
+    assert nearest_irradiance(below, under, 5, *scratch).x > 0
+
+
+def test_photons_do_not_leak_to_another_object():
+    """A second plate 0.05 above, photons on it: none count on the first, though they lie within the radius."""
+    scene = arrays(unit_plate(), unit_plate("upper", 0.05))
+    xy = np.random.default_rng(8).uniform(size=(200, 2))
+    position = np.column_stack([xy, np.full(200, 0.05)])
+    face = np.full(200, 2, np.int32)
+    photons = build(position, np.tile([0.0, 0.0, 1.0], (200, 1)), np.ones((200, 3)), face, 0.3)
+    assert estimate_irradiance(scene, photons, at((0.5, 0.4, 0.0)), STACK) == (0.0, 0.0, 0.0)
+    assert estimate_irradiance(scene, photons, at((0.5, 0.4, 0.05), face=2, thing=1), STACK).x > 0
+
+
+def test_no_photons_and_far_queries():
+    """An empty map gives black; a query at 1e30, and one at 1e300, neither crash nor find anything."""
+    scene = arrays(unit_plate())
+    scratch = np.empty(5), np.empty(5, np.int64)
+    photons = on_plate(np.random.default_rng(9).uniform(size=(50, 2)), 1.0, 0.1)
+    assert estimate_irradiance(scene, empty(), at((0.5, 0.4, 0.0)), STACK) == (0.0, 0.0, 0.0)
+    assert nearest_irradiance(empty(), at((0.5, 0.4, 0.0)), 5, *scratch) == (0.0, 0.0, 0.0)
+    for far in (1e30, -1e30, 1e300):
+        query = at((far, far, far))
+        assert estimate_irradiance(scene, photons, query, STACK) == (0.0, 0.0, 0.0)
+        assert nearest_irradiance(photons, query, 5, *scratch).x < 1e-50
+
+
+@pytest.mark.parametrize("radius", [1e-9, 1e-3, 1.0, 1e9])
+def test_grid_holds_every_photon_once(radius):
+    """Whatever the radius, `start` partitions the photons, and the grid stays as small as promised."""
+    rng = np.random.default_rng(10)
+    position = rng.normal(size=(300, 3)) * (1.0, 1e3, 1e-3)
+    photons = build(position, position, position, np.arange(300, dtype=np.int32), radius)
+    assert sorted(photons.face.tolist()) == list(range(300))
+    np.testing.assert_array_equal(photons.position, position[photons.face])
+    assert photons.start[0] == 0
+    assert photons.start[-1] == 300
+    assert (np.diff(photons.start) >= 0).all()
+    assert len(photons.start) == photons.nx * photons.ny * photons.nz + 1 <= 8 * 300 + 65
+    assert photons.cell >= 2 * radius
+
+
+def test_order_of_photons_changes_nothing_but_rounding():
+    """A permuted map estimates the same to 1e-12: no photon is lost or counted twice."""
+    rng = np.random.default_rng(11)
+    xy = rng.uniform(size=(500, 2))
+    power = rng.uniform(size=500)
+    scene = arrays(unit_plate())
+    shuffled = rng.permutation(500)
+    one, other = on_plate(xy, power, 0.1), on_plate(xy[shuffled], power[shuffled], 0.1)
+    for q in rng.uniform(size=(20, 2)):
+        a = estimate_irradiance(scene, one, at((*q, 0.0)), STACK)
+        np.testing.assert_allclose(estimate_irradiance(scene, other, at((*q, 0.0)), STACK), a, rtol=1e-12)
+
+
+def test_progressive_radius_is_the_product():
+    """r²_i = r²_0 prod_{j=1..i} (j + 2/3) / (j + 1), which falls as i^(-1/3)."""
+    radii = np.array([progressive_radius(0.3, i) for i in range(400)])
+    factors = [(j + 2 / 3) / (j + 1) for j in range(1, 400)]
+    np.testing.assert_allclose(radii**2, 0.09 * np.cumprod([1.0, *factors]), rtol=1e-12)
+    assert np.log(radii[399] / radii[199]) * 2 / np.log(2) == pytest.approx(-1 / 3, abs=0.003)
+
+
+# Emission.
+
+
+def emitted(
+    scene: Scene, index: int, count: int, *, first_hits: bool, threads: int = 1
+) -> photon_map.PhotonMap:
+    with ThreadPoolExecutor(threads) as pool:
+        return emit(
+            from_scene(scene), root(1, 0), index, count=count, radius=0.2, first_hits=first_hits, pool=pool
+        )
+
+
+def test_threads_change_no_bit(compiled):
+    """The map of 1, 2 and 3 threads, over several chunks: equal bytes."""
+    count = 10_000 if compiled else 200
+    one, two, three = (emitted(closed_box(), 0, count, first_hits=True, threads=n) for n in (1, 2, 3))
+    for field in ("position", "direction", "power", "face", "start"):
+        assert (
+            getattr(one, field).tobytes() == getattr(two, field).tobytes() == getattr(three, field).tobytes()
+        )
+
+
+@pytest.mark.parametrize("albedo", [0.2, 0.5, 0.9])
+def test_flux_in_a_closed_box(albedo, compiled):
+    """4 pi I / (1 - rho) lands in all, 4 pi I rho / (1 - rho) without first hits: roulette with 1/p keeps the mean."""
+    passes, count = (40, 500) if compiled else (8, 25)
+    scene = closed_box(albedo=albedo, intensity=2.0)
+    for first_hits, expected in (
+        (True, 8 * np.pi / (1 - albedo)),
+        (False, 8 * np.pi * albedo / (1 - albedo)),
+    ):
+        flux = [emitted(scene, i, count, first_hits=first_hits).power[:, 1].sum() for i in range(passes)]
+        error = np.std(flux, ddof=1) / np.sqrt(passes)
+        assert abs(np.mean(flux) - expected) < 4.5 * error
+        assert error < (0.05 if compiled else 0.3) * expected
+
+
+def test_flux_of_lights_of_unequal_power(compiled):
+    """A point light and a lamp: every first hit carries (sum of powers) / count, whichever light it came from.
+
+    Power 4 pi I for the point, pi A L for the lamp, which emits from its front only; the walls are white.
+    """
+    box = closed_box(albedo=0.8)
+    lamp = plate("lamp", (-0.3, -0.2, 0.99), (0.0, 0.4, 0.0), (0.6, 0.0, 0.0))
+    scene = Scene(
+        "two lights",
+        box.camera,
+        (*box.objects, Object("lamp", lamp.mesh, emission=(20.0, 20.0, 20.0))),
+        lights=(PointLight((0.3, -0.2, 0.4), (1.0, 1.0, 1.0)),),
+    )
+    count = 2000 if compiled else 100
+    photons = emitted(scene, 0, count, first_hits=True)
+    area = 0.6 * 0.4
+    assert photons.power.max() == pytest.approx((4 * np.pi + np.pi * area * 20) / count, rel=1e-5)
+    assert photons.power.min() == pytest.approx(photons.power.max(), rel=1e-12)
+
+
+def test_photons_lie_on_their_faces_and_point_back():
+    """Positions by barycentrics are in the plane of the face to 1e-15; directions are unit and above the surface."""
+    scene = unit_sphere()
+    photons = emitted(scene, 0, 300, first_hits=True)
+    g = from_scene(scene).geometry
+    offset = np.einsum("px,px->p", photons.position - g.corners[photons.face, 0], g.normals[photons.face])
+    assert np.abs(offset).max() < 4e-16
+    np.testing.assert_allclose(np.linalg.norm(photons.direction, axis=1), 1, rtol=1e-12)
+    assert (np.einsum("px,px->p", photons.direction, g.normals[photons.face]) > 0).all()

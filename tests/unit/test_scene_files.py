@@ -1,0 +1,376 @@
+"""Scene files and the model: every bad input is one line that names the file, the field, the value, what is allowed.
+
+Rationale: TOML itself has nan and inf, cattrs takes "0.5" for a number, and trimesh raises whatever its parser meets.
+"""
+
+import math
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scenes.load import library, load
+from scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Sky
+from scenes.strict import FileError
+
+CAMERA = "[camera]\nposition = [0.0, -3.0, 1.0]\ntarget = [0.0, 0.0, 0.0]\n"
+OBJECT = '[[objects]]\nname = "a"\nshape = "box"\nsize = [1.0, 1.0, 1.0]\n'
+GOOD = CAMERA + OBJECT
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "scene.toml"
+    path.write_text(text, "utf-8")
+    return path
+
+
+def mesh_object(file: str) -> str:
+    return CAMERA + f'[[objects]]\nname = "m"\nshape = "mesh"\nfile = "{file}"\n'
+
+
+# Text of the file, and what the message must name: the field, its value, what is allowed.
+BAD = {
+    "not toml": ("camera = [", ["is not TOML"]),
+    "no camera": (OBJECT, ["camera", "missing"]),
+    "no position": ("[camera]\ntarget = [0.0, 0.0, 0.0]\n", ["camera.position", "missing"]),
+    "unknown key": ("colour = 3\n" + GOOD, ["colour = 3", "unknown key", "allowed are", "camera"]),
+    "unknown key in a table": (
+        GOOD.replace("[camera]", "[camera]\nfow = 40.0"),
+        ["camera.fow = 40.0", "unknown key", "fov"],
+    ),
+    "unknown key of an object": (GOOD + "glos = 0.5\n", ["objects", "glos = 0.5", "unknown key", "gloss"]),
+    "gloss above 1": (GOOD + "gloss = 1.2\n", ["objects", "gloss = 1.2", "[0, 1]"]),
+    "negative roughness": (GOOD + "roughness = -0.1\n", ["objects", "roughness = -0.1", "[0.0001, 1.5]"]),
+    "roughness too large": (GOOD + "roughness = 2.0\n", ["roughness = 2.0", "[0.0001, 1.5]"]),
+    "nan color": (GOOD + "color = [nan, 0.5, 0.5]\n", ["color = (nan, 0.5, 0.5)", "[0, 1]"]),
+    "color above 1": (GOOD + "color = [0.5, 1.5, 0.5]\n", ["color = (0.5, 1.5, 0.5)", "[0, 1]"]),
+    "inf emission": (GOOD + "emission = [inf, 1.0, 1.0]\n", ["emission = (inf, 1.0, 1.0)", "[0, inf)"]),
+    "negative f0": (GOOD + "f0 = [-0.1, 0.0, 0.0]\n", ["f0 = (-0.1, 0.0, 0.0)", "[0, 1]"]),
+    "color of two": (GOOD + "color = [0.5, 0.5]\n", ["color = [0.5, 0.5]", "a list of 3"]),
+    "text for a number": (GOOD + 'gloss = "0.5"\n', ["gloss = '0.5'", "a number"]),
+    "true for a number": (GOOD + "gloss = true\n", ["gloss = True", "a number"]),
+    "number for a switch": (GOOD + "[toggles]\nlighting = 1\n", ["toggles.lighting = 1", "true or false"]),
+    "float for a count": (GOOD + "[photons]\ncount = 2.5\n", ["photons.count = 2.5", "an integer"]),
+    "no photons": (GOOD + "[photons]\ncount = 0\n", ["photons", "count = 0", "[1, "]),
+    "radius 0": (GOOD + "[photons]\nradius = 0.0\n", ["photons", "radius = 0.0", "(0, inf)"]),
+    "one nearest photon": (GOOD + "[photons]\nnearest = 1\n", ["nearest = 1", "[2, "]),
+    "scope": ('scope = "some"\n' + GOOD, ["scope = 'some'", "'first-hit' or 'all'"]),
+    "pixel rule": (
+        GOOD.replace("[camera]", '[camera]\npixel = "middle"'),
+        ["camera.pixel = 'middle'", "'corner'", "'jitter'"],
+    ),
+    "fov 180": (GOOD.replace("[camera]", "[camera]\nfov = 180.0"), ["fov = 180.0", "(0, 180)"]),
+    "near 0": (GOOD.replace("[camera]", "[camera]\nnear = 0.0"), ["near = 0.0", "(0, inf)"]),
+    "nan position": (GOOD.replace("[0.0, -3.0, 1.0]", "[nan, -3.0, 1.0]"), ["position = (nan, -3.0, 1.0)"]),
+    "view along up": (
+        GOOD.replace("[0.0, -3.0, 1.0]", "[0.0, 0.0, 1.0]"),
+        ["up = (0.0, 0.0, 1.0)", "not parallel"],
+    ),
+    "resolution 0": ("resolution = [0, 4]\n" + GOOD, ["resolution = (0, 4)", "[1, 65536]"]),
+    "negative bounces": ("max_bounces = -1\n" + GOOD, ["max_bounces = -1", "[0, 64]"]),
+    "exposure inf": ("exposure = inf\n" + GOOD, ["exposure = inf", "(0, inf)"]),
+    "range 0": (GOOD + "[ambient]\nrange = 0.0\n", ["range = 0.0", "(0, inf]"]),
+    "negative ambient": (
+        GOOD + "[ambient]\ncolor = [-1.0, 0.0, 0.0]\n",
+        ["color = (-1.0, 0.0, 0.0)", "[0, inf)"],
+    ),
+    "unknown shape": (GOOD.replace('"box"', '"cone"'), ["shape = 'cone'", "rectangle, box, sphere, mesh"]),
+    "no shape": (GOOD.replace('shape = "box"\n', ""), ["shape = None", "rectangle, box, sphere, mesh"]),
+    "size 0": (GOOD.replace("[1.0, 1.0, 1.0]", "[1.0, 0.0, 1.0]"), ["size = (1.0, 0.0, 1.0)", "(0, inf)"]),
+    "negative scale": (GOOD + "scale = -1.0\n", ["scale = -1.0", "(0, inf)"]),
+    "object is a number": ("objects = [3]\n" + CAMERA, ["objects", "3", "a table"]),
+    "name used twice": (GOOD + OBJECT, ["'a' is used twice", "distinct names"]),
+    "edges in line": (
+        CAMERA + '[[objects]]\nname = "r"\nshape = "rectangle"\nedges = [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]\n',
+        ["'r'", "edges = ((1.0, 0.0, 0.0), (2.0, 0.0, 0.0))", "span an area"],
+    ),
+    "subdivisions": (
+        CAMERA + '[[objects]]\nname = "s"\nshape = "sphere"\nsubdivisions = 9\n',
+        ["subdivisions = 9", "[0, 8]"],
+    ),
+    "light of negative intensity": (
+        GOOD + "[[lights]]\nposition = [0.0, 0.0, 1.0]\nintensity = [-1.0, 0.0, 0.0]\n",
+        ["lights", "intensity = (-1.0, 0.0, 0.0)", "[0, inf)"],
+    ),
+    "light without intensity": (
+        GOOD + "[[lights]]\nposition = [0.0, 0.0, 1.0]\n",
+        ["lights", "intensity", "missing"],
+    ),
+    "mesh that is missing": (mesh_object("none.ply"), ["file = 'none.ply'", "no such file"]),
+    "mesh of another kind": (mesh_object("mesh.fbx"), ["file = 'mesh.fbx'", ".ply, .obj, .stl or .glb"]),
+    "mesh that is none": (mesh_object("text.ply"), ["file = 'text.ply'", "not a mesh"]),
+    "mesh cut short": (mesh_object("short.ply"), ["file = 'short.ply'"]),
+    "mesh without faces": (mesh_object("empty.ply"), ["file = 'empty.ply'"]),
+    "mesh with a nan": (mesh_object("nan.ply"), ["'m'", "vertices[1]", "finite"]),
+    "mesh with a wild index": (mesh_object("index.ply"), ["'m'", "file = 'index.ply'"]),
+    "texture that is missing": (
+        GOOD + '[sky]\ntexture = "no.exr"\n',
+        ["sky", "texture = 'no.exr'", "no such file"],
+    ),
+    "texture that is none": (
+        GOOD + '[sky]\ntexture = "text.ply"\n',
+        ["sky", "texture = 'text.ply'", "OpenEXR"],
+    ),
+    "sky of both kinds": (
+        GOOD + '[sky]\ntexture = "a.exr"\ncolor = [0.0, 0.0, 0.0]\n',
+        ["sky", "one of the two"],
+    ),
+}
+
+PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face {faces}
+property list uchar int vertex_indices
+end_header
+0 0 0
+{second} 0 0
+0 1 0
+"""
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """A folder with meshes that are broken in one way each."""
+    (tmp_path / "mesh.fbx").write_text("x")
+    (tmp_path / "text.ply").write_text("this is not a mesh\n" * 20)
+    (tmp_path / "short.ply").write_text(PLY.format(faces=5, second="1")[:-9])
+    (tmp_path / "empty.ply").write_text(PLY.format(faces=0, second="1"))
+    (tmp_path / "nan.ply").write_text(PLY.format(faces=1, second="nan") + "3 0 1 2\n")
+    (tmp_path / "index.ply").write_text(PLY.format(faces=1, second="1") + "3 0 1 7\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_scene_file(case, folder):
+    """A FileError of one line: the file's path, then the field, the value, and what is allowed."""
+    text, parts = BAD[case]
+    path = write(folder, text)
+    with pytest.raises(FileError) as caught:
+        load(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(path))
+    for part in parts:
+        assert part in message, message
+
+
+@pytest.mark.parametrize("name", ["no_such_scene", "scene.json", ""])
+def test_unknown_name(name):
+    """Neither a library scene nor a path to a TOML file: the library is listed."""
+    with pytest.raises(FileError, match="no such scene: allowed are cornell_box") as caught:
+        load(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_unreadable_files(tmp_path):
+    """A missing file, a folder, and bytes that are no text: one line that names the path."""
+    (tmp_path / "folder.toml").mkdir()
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
+    for name, reason in (
+        ("none.toml", "cannot be read"),
+        ("folder.toml", "cannot be read"),
+        ("bytes.toml", "is not TOML"),
+    ):
+        with pytest.raises(FileError, match=reason) as caught:
+            load(tmp_path / name)
+        assert str(tmp_path / name) in str(caught.value)
+
+
+def test_good_file(tmp_path):
+    """The file that the bad ones are made from loads, with the model's defaults."""
+    scene = load(write(tmp_path, GOOD))
+    assert scene.name == "scene"
+    assert scene.camera.position == (0.0, -3.0, 1.0)
+    assert scene.objects[0].material == Material()
+    assert len(scene.objects[0].mesh.faces) == 12
+
+
+@pytest.mark.parametrize("name", library())
+def test_library_loads(name):
+    """Each scene has objects, a light, glossy objects of alpha >= 0.2, and vertices that float32 holds."""
+    scene = load(name)
+    assert scene.name == name
+    assert scene.has_lights
+    assert all(o.material.roughness >= 0.2 for o in scene.objects if o.material.gloss > 0)
+    assert any(o.material.gloss > 0 for o in scene.objects)
+    for thing in scene.objects:
+        np.testing.assert_array_equal(thing.mesh.vertices, thing.mesh.vertices.astype(np.float32))
+
+
+def test_library_is_the_four_of_the_paper():
+    """Their names are the product's vocabulary."""
+    assert library() == ("cornell_box", "cornell_box_unshadowed", "monkey", "two_cubes")
+
+
+def test_the_two_boxes_differ_in_scope_alone():
+    """They share geometry, and hence references."""
+    box, unshadowed = load("cornell_box"), load("cornell_box_unshadowed")
+    assert (box.scope, unshadowed.scope) == ("first-hit", "all")
+    assert attrs.evolve(box, scope="all").digest() == unshadowed.digest()
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb"])
+def test_mesh_formats(suffix, tmp_path):
+    """One octahedron through four formats: the same set of triangles, normals outwards."""
+    octahedron = trimesh.creation.icosphere(subdivisions=0)
+    octahedron.export(tmp_path / f"ball{suffix}")
+    mesh = load(write(tmp_path, mesh_object(f"ball{suffix}"))).objects[0].mesh
+    corners = mesh.vertices[mesh.faces]
+    assert len(corners) == len(octahedron.faces)
+    expected = np.sort(octahedron.triangles_center.round(5), axis=0)
+    np.testing.assert_allclose(np.sort(corners.mean(axis=1).round(5), axis=0), expected, atol=2e-5)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((normal * corners.mean(axis=1)).sum(axis=1) > 0).all()
+
+
+def test_placement_scales_then_rotates_then_moves(tmp_path):
+    """A vertex (1, 0, 0): scale 2, 90 degrees about z, then the translation: (0, 2, 0) + (5, 6, 7)."""
+    text = CAMERA + (
+        '[[objects]]\nname = "r"\nshape = "rectangle"\nedges = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]\n'
+        "scale = 2.0\nrotation = [0.0, 0.0, 90.0]\ntranslation = [5.0, 6.0, 7.0]\n"
+    )
+    vertices = load(write(tmp_path, text)).objects[0].mesh.vertices
+    np.testing.assert_allclose(vertices, [[5, 6, 7], [5, 8, 7], [3, 8, 7], [3, 6, 7]], atol=1e-6)
+
+
+def test_rotation_is_about_x_then_y_then_z(tmp_path):
+    """Vertex (0, 1, 0): 90 degrees about x gives (0, 0, 1), about y (1, 0, 0), about z (0, 1, 0)."""
+    text = CAMERA + (
+        '[[objects]]\nname = "r"\nshape = "rectangle"\nedges = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]\n'
+        "rotation = [90.0, 90.0, 90.0]\n"
+    )
+    vertices = load(write(tmp_path, text)).objects[0].mesh.vertices
+    np.testing.assert_allclose(vertices[3], [0, 1, 0], atol=1e-6)
+
+
+def test_smooth_normals_of_a_sphere(tmp_path):
+    """Area-weighted vertex normals of an icosphere point along the radius within 1 degree; flat ones are absent."""
+    text = CAMERA + '[[objects]]\nname = "s"\nshape = "sphere"\n'
+    flat = load(write(tmp_path, text)).objects[0].mesh
+    assert flat.normals is None
+    smooth = load(write(tmp_path, text + 'normals = "smooth"\n')).objects[0].mesh
+    assert smooth.normals is not None
+    assert ((smooth.normals * smooth.vertices).sum(axis=1) > math.cos(math.radians(1))).all()
+
+
+# The model itself.
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        (np.zeros((3, 2)), [[0, 1, 2]], "allowed is (V, 3) and (F, 3)"),
+        (np.zeros((3, 3)), [[0, 1]], "allowed is (V, 3) and (F, 3)"),
+        (np.zeros((3, 3)), np.zeros((0, 3)), "at least one triangle"),
+        (np.full((3, 3), np.inf), [[0, 1, 2]], "vertices[0] = (inf, inf, inf)"),
+        (np.full((3, 3), 1e39), [[0, 1, 2]], "vertices[0] = (inf, inf, inf)"),
+        (np.zeros((3, 3)), [[0, 1, 2], [0, 1, 3]], "faces[1] = (0, 1, 3): allowed are indices in [0, 2]"),
+        (np.zeros((3, 3)), [[0, -1, 2]], "faces[0] = (0, -1, 2)"),
+    ],
+)
+def test_bad_mesh(vertices, faces, message):
+    """Shape, emptiness, finiteness (after rounding to float32) and indices."""
+    with np.errstate(over="ignore"), pytest.raises(ValueError, match="allowed") as caught:
+        Mesh.from_arrays(vertices, faces)
+    assert message in str(caught.value)
+
+
+TRIANGLE = Mesh.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+SCENE = Scene(
+    "a",
+    Camera((0.0, -3.0, 0.0), (0.0, 0.0, 0.0)),
+    (Object("t", TRIANGLE),),
+    lights=(PointLight((0.0, 0.0, 1.0), (1.0, 1.0, 1.0)),),
+)
+
+
+def test_equal_scenes_have_one_digest():
+    """Content counts: arrays by value, not by identity; name and exposure do not count."""
+    again = Mesh.from_arrays(TRIANGLE.vertices.copy(), TRIANGLE.faces.copy())
+    same = attrs.evolve(SCENE, name="b", exposure=2.0, objects=(Object("t", again),))
+    assert same.digest() == SCENE.digest()
+    assert attrs.evolve(SCENE, exposure=2.0).digest(without=()) != SCENE.digest(without=())
+
+
+def changed_scenes() -> list[Scene]:
+    thing = SCENE.objects[0]
+    moved = Mesh.from_arrays(TRIANGLE.vertices + [0, 0, 1e-6], TRIANGLE.faces)
+    turned = Mesh.from_arrays(TRIANGLE.vertices, [[0, 2, 1]])
+    return [
+        SCENE,
+        attrs.evolve(SCENE, camera=attrs.evolve(SCENE.camera, fov=45.0000001)),
+        attrs.evolve(SCENE, camera=attrs.evolve(SCENE.camera, pixel="corner")),
+        attrs.evolve(SCENE, objects=(attrs.evolve(thing, mesh=moved),)),
+        attrs.evolve(SCENE, objects=(attrs.evolve(thing, mesh=turned),)),
+        attrs.evolve(SCENE, objects=(attrs.evolve(thing, name="u"),)),
+        attrs.evolve(SCENE, objects=(attrs.evolve(thing, material=Material(gloss=0.1)),)),
+        attrs.evolve(SCENE, objects=(attrs.evolve(thing, emission=(0.0, 0.0, 1.0)),)),
+        attrs.evolve(SCENE, objects=(thing, attrs.evolve(thing, name="v"))),
+        attrs.evolve(SCENE, objects=()),
+        attrs.evolve(SCENE, lights=()),
+        attrs.evolve(SCENE, lights=(PointLight((0.0, 0.0, 1.0), (1.0, 1.0, 2.0)),)),
+        attrs.evolve(SCENE, lights=(PointLight((0.0, 0.0, 1.5), (1.0, 1.0, 1.0)),)),
+        attrs.evolve(SCENE, ambient=Ambient(range=1.0)),
+        attrs.evolve(SCENE, sky=Sky(texture=np.zeros((2, 2, 3), np.float32))),
+        attrs.evolve(SCENE, sky=Sky(texture=np.zeros((1, 4, 3), np.float32))),
+        attrs.evolve(SCENE, photons=Photons(count=7)),
+        attrs.evolve(SCENE, resolution=(128, 127)),
+        attrs.evolve(SCENE, resolution=(127, 128)),
+        attrs.evolve(SCENE, max_bounces=3),
+        attrs.evolve(SCENE, scope="first-hit"),
+        attrs.evolve(SCENE, draw_lights=True),
+    ]
+
+
+def test_different_scenes_have_different_digests():
+    """Every field that changes an image changes the digest, and no two of these run together."""
+    digests = [scene.digest() for scene in changed_scenes()]
+    assert len(set(digests)) == len(digests)
+
+
+unit = st.floats(0, 1)
+colors = st.tuples(unit, unit, unit)
+
+
+@settings(max_examples=50, deadline=None)
+@given(color=colors, gloss=unit, roughness=st.floats(1e-4, 1.5), f0=colors)
+def test_any_valid_material_survives_the_file(tmp_path_factory, color, gloss, roughness, f0):
+    """Written as TOML and read back, every number is the same to the bit."""
+    text = GOOD + f"color = {list(color)}\ngloss = {gloss!r}\nroughness = {roughness!r}\nf0 = {list(f0)}\n"
+    scene = load(write(tmp_path_factory.mktemp("material"), text))
+    assert scene.objects[0].material == Material(color, gloss, roughness, f0)
+
+
+@settings(max_examples=50, deadline=None)
+@given(gloss=st.floats(allow_nan=True, allow_infinity=True).filter(lambda g: not 0 <= g <= 1))
+def test_no_invalid_gloss_survives_the_file(tmp_path_factory, gloss):
+    """Anything outside [0, 1], NaN and infinities included, is refused in one line."""
+    with pytest.raises(FileError, match=r"gloss = .*\[0, 1\]") as caught:
+        load(write(tmp_path_factory.mktemp("material"), GOOD + f"gloss = {gloss!r}\n"))
+    assert "\n" not in str(caught.value)
+
+
+def test_weights_of_a_material():
+    """color (1 - gloss) and gloss; with reflections off the paper's code drops the factor and the lobe."""
+    material = Material((0.8, 0.4, 0.2), gloss=0.25)
+    assert SCENE.diffuse_weight(material) == pytest.approx((0.6, 0.3, 0.15))
+    assert SCENE.specular_weight(material) == 0.25
+    off = attrs.evolve(SCENE, toggles=attrs.evolve(SCENE.toggles, reflections=False))
+    assert off.diffuse_weight(material) == (0.8, 0.4, 0.2)
+    assert off.specular_weight(material) == 0.0
+
+
+def test_an_emitter_is_black():
+    """Its surface neither reflects nor glows in any term but through its emission."""
+    lamp = Object("lamp", TRIANGLE, Material((0.9, 0.9, 0.9), gloss=0.5), emission=(1.0, 0.0, 0.0))
+    assert lamp.emits
+    assert lamp.surface.color == (0.0, 0.0, 0.0)
+    assert lamp.surface.gloss == 0.0

@@ -1,0 +1,109 @@
+"""Studies: presets load, and a file that is wrong is refused in one line that names file, field, value and allowed."""
+
+from pathlib import Path
+
+import attrs
+import pytest
+
+from renderer.terms import DEFAULTS, VARIANTS
+from reports import run, study
+from scenes.load import library
+from scenes.strict import FileError
+from scenes.terms import TERMS
+
+VALID = 'scenes = ["monkey"]\nresolution = [8, 8]\n'
+
+
+@pytest.mark.parametrize("name", study.studies())
+def test_presets_measure_every_scene_with_enough_replicates(name: str):
+    preset = study.load(name)
+    assert set(preset.scenes) == set(library())
+    assert preset.replicates >= 16
+    assert preset.reference_replicates >= 16
+    for term in TERMS:
+        names = preset.variants_of(term)
+        assert names[0] == DEFAULTS[term], "the first variant is the one in `total`"
+        for name in names:
+            samples = preset.samples_of(VARIANTS[term][name])
+            assert samples & (samples - 1) == 0, "low-discrepancy points are well spread in powers of two"
+
+
+def test_presets_grow():
+    quick, standard, full = (study.load(name) for name in ("quick", "standard", "full"))
+    for smaller, larger in ((quick, standard), (standard, full)):
+        assert smaller.resolution < larger.resolution
+        for term in TERMS:
+            default = VARIANTS[term][DEFAULTS[term]]
+            assert smaller.samples_of(default) <= larger.samples_of(default)
+
+
+def test_a_study_by_path(tmp_path: Path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        VALID + 'seed = 7\n[samples]\nambient = 4\n"ambient.paper" = 2\n[variants]\ndirect = ["path"]\n'
+    )
+    mine = study.load(path)
+    assert (mine.scenes, mine.resolution, mine.seed) == (("monkey",), (8, 8), 7)
+    assert mine.variants_of("ambient") == ("cosine", "paper")
+    assert mine.variants_of("direct") == ("path",)
+    assert [mine.samples_of(VARIANTS["ambient"][name]) for name in ("cosine", "paper")] == [4, 2]
+    assert mine.samples_of(VARIANTS["direct"]["path"]) == study.DEFAULT_SAMPLES
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("scenes = [", ["is not TOML"]),
+        ("resolution = [8, 8]", ["scenes: is missing"]),
+        ('scenes = ["monkey"]', ["resolution: is missing"]),
+        (VALID + "replicate = 4", ["replicate = 4", "unknown key", "replicates"]),
+        (VALID + "replicates = 3", ["replicates = 3", "[4, 4096]"]),
+        (VALID + "reference_replicates = 0", ["reference_replicates = 0", "[4, 4096]"]),
+        (VALID + "reference_spp = 0", ["reference_spp = 0", "[1, "]),
+        (VALID + "seed = -1", ["seed = -1", "[0, "]),
+        (VALID + "seed = 1.0", ["seed = 1.0", "an integer"]),
+        (VALID + "seed = true", ["seed = True", "an integer"]),
+        (VALID + "photons = 0", ["photons = 0", "[1, "]),
+        (VALID + "photons = -5", ["photons = -5", "[1, "]),
+        (VALID + "[samples]\ndirect = 0", ["samples.direct = 0", "at least 1"]),
+        (VALID + "[samples]\nglow = 4", ["samples.glow = 4", "unknown key", "ambient"]),
+        (VALID + '[samples]\n"direct.glow" = 4', ["samples.direct.glow = 4", "unknown key", "direct.path"]),
+        (VALID + '[samples]\ndirect = "16"', ["samples", "'16'", "an integer"]),
+        (VALID + '[variants]\ndirect = ["photons"]', ["variants", "'photons'", "next-event, path, paper"]),
+        (VALID + "[variants]\ndirect = []", ["variants", "direct = []", "next-event"]),
+        (VALID + '[variants]\ndirect = ["path", "path"]', ["variants", "direct", "'path'", "twice"]),
+        ("scenes = []\nresolution = [8, 8]", ["scenes = ", "at least one"]),
+        ('scenes = ["monkey"]\nresolution = [8]', ["resolution = [8]", "a list of 2"]),
+        ('scenes = ["monkey"]\nresolution = [8, 0]', ["resolution = (8, 0)", "[1, 65536]"]),
+        ('scenes = ["monkey"]\nresolution = [8, nan]', ["resolution", "an integer"]),
+    ],
+)
+def test_refused(text: str, named: list[str], tmp_path: Path):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(FileError) as caught:
+        study.load(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    for words in named:
+        assert words in message
+
+
+@pytest.mark.parametrize("name", ["nope", ".", "", "missing.toml", "quick.tom"])
+def test_no_such_study(name: str):
+    with pytest.raises(FileError, match="allowed are full, quick, standard|cannot be read"):
+        study.load(name)
+
+
+def test_a_scene_keeps_fewer_photons_than_the_study_grants():
+    lavish = attrs.evolve(study.load("quick"), photons=10**9)
+    (scene,) = run.scenes_of(lavish, ("monkey",))
+    frugal = attrs.evolve(lavish, photons=10)
+    assert scene.photons.count < 10**9
+    assert run.scenes_of(frugal, ("monkey",))[0].photons.count == 10
+
+
+def test_the_same_scene_twice_is_refused():
+    with pytest.raises(ValueError, match="'monkey' is named twice: allowed are distinct names"):
+        run.scenes_of(study.load("quick"), ("monkey", "two_cubes", "monkey"))
