@@ -1,4 +1,4 @@
-"""Is an estimator biased, by how much, where, why, and how sure are you?
+"""Whether an estimator is biased, by how much, where, and how sure that is.
 
 `load` a scene, `render` one of its terms with our renderer, render its `reference` with Mitsuba, and `judge` any
 replicate images against any reference.

@@ -67,9 +67,7 @@ def plan(scene: Scene, variants: dict[Term, Variant], *, chain: Chain = "next-ev
         reason = skipped(scene, term)
         variant = variants[term]
         steps.append(
-            Step(
-                term, f"kernel {variant.name}", reason is None, reason or "the scene has this term"
-            )
+            Step(term, f"kernel {variant.name}", reason is None, reason or "the scene has this term")
         )
         if term == "ambient":
             off = reason or (None if scene.occlusion_range else "ambient occlusion is off: L_a0 everywhere")

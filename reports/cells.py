@@ -103,7 +103,7 @@ def _read(path: Path, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] |
     try:
         with np.load(path) as arrays:
             images, seconds = arrays["images"], arrays["seconds"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile):
         return None
     return (images, seconds) if (images.shape, seconds.shape) == (shape, shape[:1]) else None
 

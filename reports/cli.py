@@ -32,8 +32,20 @@ app = cyclopts.App(
     version=lambda: importlib.metadata.version("termwise"),
     print_error=True,
     exit_on_error=False,
+    suppress_keyboard_interrupt=False,
 )
 
+
+def _integer(_kind: Any, tokens: Any) -> int:
+    """Cyclopts alone takes 1.5 for an integer, and rounds it."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f"{tokens[0].value!r}: allowed is an integer") from None
+
+
+_whole = Parameter(converter=_integer, n_tokens=1)
+Integer = Annotated[int, _whole]
 Json = Annotated[bool, Parameter(negative="", help="One JSON object on standard output.")]
 
 
@@ -141,10 +153,10 @@ def render(
     *,
     term: str | None = None,
     variant: str | None = None,
-    samples: int = 16,
-    replicates: int = 1,
-    seed: int = 0,
-    threads: int | None = None,
+    samples: Integer = 16,
+    replicates: Integer = 1,
+    seed: Integer = 0,
+    threads: Annotated[int | None, _whole] = None,
     resolution: tuple[int, int] | None = None,
     out: Path = Path("out"),
     json_: Annotated[Json, Parameter(name="--json")] = False,
@@ -204,9 +216,9 @@ def reference(
     *,
     term: str | None = None,
     physical: Annotated[bool, Parameter(negative="")] = False,
-    spp: int = 64,
-    replicates: int = 4,
-    seed: int = 0,
+    spp: Integer = 64,
+    replicates: Integer = 4,
+    seed: Integer = 0,
     resolution: tuple[int, int] | None = None,
     export: Path | None = None,
     out: Path = Path("out"),
@@ -330,14 +342,16 @@ def main() -> None:
     from reference.backend import BackendError
 
     try:
-        status = app(exit_on_error=False)
+        status = app(sys.argv[1:], exit_on_error=False)
     except cyclopts.CycloptsError:
         status = 2  # already printed, in one line
     except KeyboardInterrupt:
         _fail("interrupted: finished replicates are kept, the same command goes on from there")
         status = 2
     except OSError as error:
-        _fail(f"{error.filename or 'writing'}: {error.strerror or error}")
+        # NumPy says how much of an array it wrote, without a file or a number for the error.
+        why = error.strerror or f"a file was cut short ({error}): is the disk full?"
+        _fail(f"{error.filename or 'writing'}: {why}")
         status = 2
     except (ValueError, BackendError) as error:
         _fail(str(error))

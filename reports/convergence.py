@@ -167,9 +167,7 @@ def _least_squares(n: np.ndarray, values: np.ndarray, weights: np.ndarray) -> tu
     return float(floor), float(scale), slope
 
 
-def _cause(
-    slope: Estimate | None, floor: Estimate, bias_squared: Estimate | None, last_step: float
-) -> str:
+def _cause(slope: Estimate | None, floor: Estimate, bias_squared: Estimate | None, last_step: float) -> str:
     biased = bias_squared is not None and bias_squared.low(0.05) > 0
     if floor.low(0.05) > 0 and not biased and last_step < STILL_FALLING:
         # Low-discrepancy points fall faster at few samples than at many: a bend, which the law takes for a floor.

@@ -90,14 +90,22 @@ def variants_of(study: Study, scene: Scene, term: Term) -> tuple[Variant, ...]:
 def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
     """sha256 of all that decides a run's results but the speed of the machine."""
     sources = sources_digest(*(PROJECT / name for name in ("renderer", "reference", "scenes", "reports")))
-    settings = (attrs.asdict(study), [(s.name, s.exposure, s.digest()) for s in scenes], variant, sources, versions())
+    settings = (
+        attrs.asdict(study),
+        [(s.name, s.exposure, s.digest()) for s in scenes],
+        variant,
+        sources,
+        versions(),
+    )
     return hashlib.sha256(repr(settings).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:
     """Versions of everything that makes numbers."""
     packages = ("termwise", "numba", "numpy", "scipy", "scikit-image", "mitsuba", "drjit", "xarray")
-    return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in packages}
+    return {"python": platform.python_version()} | {
+        name: importlib.metadata.version(name) for name in packages
+    }
 
 
 def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
@@ -110,7 +118,9 @@ def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
     return results if whole and results.get("settings", {}).get("digest") == fingerprint else None
 
 
-def measure(study: Study, scenes: tuple[Scene, ...], folder: Path, *, name: str, report: Report) -> dict[str, Any]:
+def measure(
+    study: Study, scenes: tuple[Scene, ...], folder: Path, *, name: str, report: Report
+) -> dict[str, Any]:
     """Measure and judge a study; write results and images into `folder`.
 
     Parameters
@@ -473,7 +483,9 @@ def _describe(study: Study, scene: Scene) -> dict[str, Any]:
         "settings": {
             "triangles": sum(len(thing.mesh.faces) for thing in scene.objects),
             "ambient light": list(scene.ambient.color),
-            "ambient occlusion range": scene.ambient.range if math.isfinite(scene.ambient.range) else "infinite",
+            "ambient occlusion range": scene.ambient.range
+            if math.isfinite(scene.ambient.range)
+            else "infinite",
             "point lights": len(scene.lights),
             "area lights": sum(thing.emits for thing in scene.objects),
             "sky": "texture" if scene.sky.texture is not None else list(scene.sky.color),
@@ -484,7 +496,10 @@ def _describe(study: Study, scene: Scene) -> dict[str, Any]:
             "k of the paper's photon search": scene.photons.nearest,
             "shadows": scene.shadows,
             "lights drawn": scene.draw_lights,
-            **{f"toggle {name.replace('_', ' ')}": value for name, value in attrs.asdict(scene.toggles).items()},
+            **{
+                f"toggle {name.replace('_', ' ')}": value
+                for name, value in attrs.asdict(scene.toggles).items()
+            },
         },
         "skips": [attrs.asdict(step) for step in plan(scene, chosen, chain=CHAIN)],
     }
@@ -506,4 +521,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-

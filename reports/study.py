@@ -18,7 +18,9 @@ _count = in_range(1, 2**31 - 1)
 
 
 def _samples(study: object, attribute: attrs.Attribute, value: dict[str, int]) -> None:
-    known = [name for term in VARIANTS for name in (term, *(f"{term}.{variant}" for variant in VARIANTS[term]))]
+    known = [
+        name for term in VARIANTS for name in (term, *(f"{term}.{variant}" for variant in VARIANTS[term]))
+    ]
     for name, count in value.items():
         if name not in known:
             raise ValueError(f"samples.{name} = {count!r}: unknown key: allowed are {', '.join(known)}")
@@ -100,5 +102,7 @@ def load(study: str | Path) -> Study:
     """Load a study by name, or any study file by path; errors as for scenes."""
     path = STUDIES / f"{study}.toml" if str(study) in studies() else Path(study)
     if path.suffix != ".toml":
-        raise FileError(f"{study}: no such study: allowed are {', '.join(studies())} or a path that ends in .toml")
+        raise FileError(
+            f"{study}: no such study: allowed are {', '.join(studies())} or a path that ends in .toml"
+        )
     return strict.read(path, Study, strict.converter())

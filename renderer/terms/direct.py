@@ -4,8 +4,6 @@ Photons after roulette estimate the total irradiance `E_all`: light that arrives
 diffusely with albedo color (1 - gloss), any number of times. `first-hit` means the straight part alone.
 """
 
-import math
-
 import numpy as np
 
 from renderer.arrays import SceneArrays
@@ -92,9 +90,7 @@ def _next_event(
 
 
 @kernel
-def _path(
-    scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray
-) -> None:
+def _path(scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray) -> None:
     stack = np.empty(STACK_SIZE, np.int32)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
@@ -140,7 +136,8 @@ VARIANTS = (
         driver=_next_event,
         limit=_limit,
         kind="right",
-        equation=r"\frac{1}{N} \sum_k \Big[ \frac{L_e \cos\theta \cos\theta'}{d^2\, p} + \frac{1}{\pi} \sum_p \Phi_p K_r(x_p - x) \Big]",
+        equation=r"\frac{1}{N} \sum_k \Big[ \frac{L_e \cos\theta \cos\theta'}{d^2\, p}"
+        r" + \frac{1}{\pi} \sum_p \Phi_p K_r(x_p - x) \Big]",
         converges_to=r"E / \pi \;\; (r \to 0;\ \text{exact for first-hit})",
         source="light sampling for the first hit; progressive photon mapping (Knaus, Zwicker, TOG 2011) for the rest",
         inputs=lambda scene, chain, photons: (photons,),

@@ -35,8 +35,8 @@ from scenes.model import Scene
 
 LOBE = 6  # the pair of dimensions of the lobe's direction
 ROULETTE = 7
-# A chain of less throughput goes on with probability throughput / FAINT, at the throughput FAINT: unbiased, and 1.2 to 1.6
-# times faster for `paper`, most of whose samples weigh next to nothing, at the same variance (measured on three scenes).
+# A chain of less throughput goes on with probability throughput / FAINT, at the throughput FAINT: unbiased, and 1.2 to
+# 1.6 times faster for `paper`, most of whose samples weigh next to nothing, at the same variance (three scenes).
 FAINT = 0.1
 _CHAIN = 1 << 20  # keys of the chain's vertices: beyond those of a path
 
@@ -59,7 +59,12 @@ def sample_variant(lobe: int, wo: Vec3, alpha: float, f0: Vec3, u: float, v: flo
 
 @device
 def _diffuse(
-    scene: SceneArrays, photons: PhotonMap, unbiased: bool, surface: Surface, sampler: Sampler, stack: np.ndarray
+    scene: SceneArrays,
+    photons: PhotonMap,
+    unbiased: bool,
+    surface: Surface,
+    sampler: Sampler,
+    stack: np.ndarray,
 ) -> Vec3:
     """Ambient + direct at a vertex of the chain."""
     ambient = ambient_radiance(scene, COSINE, surface, sampler, stack)
