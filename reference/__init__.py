@@ -106,11 +106,12 @@ def shared(scene: Scene, limit: Limit) -> Limit:
         return Limit(term)
     if limit.transport == "physical":
         return Limit(term, transport="physical")
-    return Limit(
-        term,
-        scope=limit.scope or scene.scope if term in ("direct", "specular") else None,
-        lobe=limit.lobe if term == "specular" else 1.0,
-    )
+    if term == "ambient":
+        return Limit(term, rings=limit.rings)
+    scope = limit.scope or scene.scope
+    if term == "direct":
+        return Limit(term, scope=scope, kernel=limit.kernel)
+    return attrs.evolve(limit, scope=scope, factor=1.0, kernel=None)
 
 
 def rng_seed(limit: Limit, seed: int, replicate: int) -> int:
@@ -124,7 +125,7 @@ def loaded(scene: Scene) -> Any:
 
     Only one is kept, because every material that exists is compiled into every kernel.
     """
-    content = scene.digest(without=("name", "exposure", "photons", "scope"))
+    content = scene.digest(without=("name", "exposure", "photons", "scope", "rings"))
     if content not in _loaded:
         from reference.backend import import_mitsuba
 

@@ -24,7 +24,7 @@ from scenes.model import Scene
 from scenes.store import PROJECT, sources_digest, write_atomically
 from scenes.terms import Term
 
-_ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope")
+_ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope", "rings")
 _IRRELEVANT: dict[Term, tuple[str, ...]] = {
     "ambient": ("lights", "sky", "max_bounces", "draw_lights"),
     "direct": ("ambient", "sky", "max_bounces", "draw_lights"),

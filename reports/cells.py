@@ -17,15 +17,16 @@ import numpy as np
 from renderer.plan import needs_photons
 from renderer.terms import Chain, Variant
 from renderer.tiles import Engine, powers_of_two
+from scenes.limits import Limit
 from scenes.model import Scene
 from scenes.store import PROJECT, sources_digest, write_atomically
 
 # What cannot change a term's image; `scope` changes direct, and specular through it.
 _IRRELEVANT = {
     "ambient": ("lights", "sky", "photons", "scope", "max_bounces", "draw_lights"),
-    "direct": ("ambient", "sky", "max_bounces", "draw_lights"),
+    "direct": ("ambient", "sky", "max_bounces", "rings", "draw_lights"),
     "specular": ("draw_lights",),
-    "background": ("ambient", "photons", "scope", "max_bounces"),
+    "background": ("ambient", "photons", "scope", "max_bounces", "rings"),
 }
 
 
@@ -46,6 +47,10 @@ class Cell:
     images: np.ndarray
     seconds: np.ndarray
     compile_seconds: float
+
+    def limit(self, scene: Scene) -> Limit:
+        """What the variant converges to with these samples."""
+        return self.variant.limit(scene, self.samples[-1])
 
 
 def key(scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain) -> str:

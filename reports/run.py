@@ -84,7 +84,7 @@ def scenes_of(study: Study, names: tuple[str, ...] = ()) -> tuple[Scene, ...]:
 def variants_of(study: Study, scene: Scene, term: Term) -> tuple[Variant, ...]:
     """Variants of a term that mean what the scene means: those whose limit has the scene's scope."""
     chosen = [VARIANTS[term][name] for name in study.variants_of(term)]
-    return tuple(variant for variant in chosen if variant.limit(scene).scope in (None, scene.scope))
+    return tuple(variant for variant in chosen if variant.limit(scene, 1).scope in (None, scene.scope))
 
 
 def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
@@ -220,7 +220,7 @@ def _limits(study: Study, scene: Scene) -> tuple[Limit, ...]:
     wanted: dict[Limit, None] = {}
     for term in TERMS:
         for variant in variants_of(study, scene, term):
-            wanted[variant.limit(scene)] = None
+            wanted[variant.limit(scene, study.samples_of(variant))] = None
         wanted[limits.correct(term, scene.scope)] = None
         wanted[limits.physical(term)] = None
     return tuple(wanted)
@@ -265,7 +265,7 @@ def _rows(
     for cell in measured:
         variant = cell.variant
         term = variant.term
-        own = variant.limit(scene)
+        own = cell.limit(scene)
         reference = references.images[own]
         at_own = statistics(cell.images[:, -1], reference)
         kernel = variant.kernel_based(scene)
@@ -351,7 +351,7 @@ def _total_rows(
     allowance = max(c.variant.allowance if c.variant.kernel_based(scene) else 0.0 for c in default.values())
     rows = []
     for against, limit_of in (
-        ("own", lambda term: default[term].variant.limit(scene)),
+        ("own", lambda term: default[term].limit(scene)),
         ("physical", limits.physical),
     ):
         chosen = tuple(limit_of(term) for term in TERMS)

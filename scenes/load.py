@@ -235,6 +235,7 @@ class _SceneFile:
     resolution: tuple[int, int] = (128, 128)
     exposure: float = 1.0
     max_bounces: int = 2
+    rings: int = 16
     scope: Scope = "all"
     shadows: Literal["physical"] = "physical"
     draw_lights: bool = False

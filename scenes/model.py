@@ -238,11 +238,20 @@ class Camera:
 
 @attrs.frozen
 class Photons:
-    """Photon maps: photons emitted per pass, the kernel radius of the first pass, and k of the paper's search."""
+    """Photon maps.
+
+    Attributes
+    ----------
+    count : photons emitted per pass.
+    radius : kernel radius of the first pass.
+    nearest : k of the paper's search.
+    kernel : the kernel of a radius; all three are named in `scenes.limits.Kernel`.
+    """
 
     count: int = attrs.field(default=50_000, validator=_count)
     radius: float = attrs.field(default=0.05, validator=positive)
     nearest: int = attrs.field(default=50, validator=in_range(2, 2**31 - 1))
+    kernel: Literal["simpson", "epanechnikov", "uniform"] = "simpson"
 
 
 @attrs.frozen
@@ -261,7 +270,10 @@ class Toggles:
 
 @attrs.frozen(eq=False)
 class Scene:
-    """Everything that is rendered. Immutable; `attrs.evolve` makes variations."""
+    """Everything that is rendered. Immutable; `attrs.evolve` makes variations.
+
+    `rings` is N of the paper's rule `mu_k = k / (N + 1)` over the hemisphere (its max_samples).
+    """
 
     name: str
     camera: Camera
@@ -274,6 +286,7 @@ class Scene:
     resolution: tuple[int, int] = attrs.field(default=(128, 128), validator=in_range(1, 65536))
     exposure: float = attrs.field(default=1.0, validator=positive)
     max_bounces: int = attrs.field(default=2, validator=in_range(0, 64))
+    rings: int = attrs.field(default=16, validator=in_range(1, 65536))
     scope: Scope = "all"
     shadows: Literal["physical"] = "physical"
     draw_lights: bool = False

@@ -65,7 +65,7 @@ VARIANTS = (
         term="ambient",
         driver=_occlusion,
         inputs=lambda scene, chain, photons: (COSINE,),
-        limit=lambda scene: Limit("ambient"),
+        limit=lambda scene, samples: Limit("ambient"),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \mathrm{hit}(\omega_k)\, L_{a0}, \quad \omega_k \sim \frac{\cos\theta}{\pi}",
         converges_to=r"\mathrm{AO} \cdot L_{a0}",
@@ -76,7 +76,9 @@ VARIANTS = (
         term="ambient",
         driver=_occlusion,
         inputs=lambda scene, chain, photons: (PAPER,),
-        limit=lambda scene: Limit("ambient", factor=math.pi if scene.toggles.ambient_occlusion else 1.0),
+        limit=lambda scene, samples: Limit(
+            "ambient", factor=math.pi if scene.toggles.ambient_occlusion else 1.0
+        ),
         kind="wrong",
         equation=r"\frac{2\pi}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k - 1 + U}{N}",
         converges_to=r"\pi \cdot \mathrm{AO} \cdot L_{a0}",

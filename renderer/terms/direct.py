@@ -125,7 +125,7 @@ def _paper(
                         accumulate(out, x, y, scale(mul(weight, irradiance), INV_PI))
 
 
-def _limit(scene: Scene) -> Limit:
+def _limit(scene: Scene, samples: int) -> Limit:
     return Limit("direct", scope=scene.scope)
 
 
@@ -149,7 +149,7 @@ VARIANTS = (
         name="path",
         term="direct",
         driver=_path,
-        limit=lambda scene: Limit("direct", scope="all"),
+        limit=lambda scene, samples: Limit("direct", scope="all"),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \sum_j \beta_j \frac{L_e \cos\theta \cos\theta'}{d^2\, p}",
         converges_to=r"E_{\text{all}} / \pi",
@@ -159,7 +159,7 @@ VARIANTS = (
         name="paper",
         term="direct",
         driver=_paper,
-        limit=lambda scene: Limit("direct", scope="all"),
+        limit=lambda scene, samples: Limit("direct", scope="all"),
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
         converges_to=r"\frac{k}{k-1} E_{\text{all}} / \pi,\ \text{blurred over } r_k",

@@ -28,7 +28,8 @@ class Variant:
     driver : the kernel `driver(scene, *inputs, key, first, last, tile, out)`, which adds samples [first, last) of
         the pixels of a tile to `out` (H, W, 3) float64.
     inputs : (scene, chain, photon map) -> the driver's further arguments.
-    limit : scene -> Limit, what it converges to.
+    limit : (scene, samples) -> Limit, what it converges to; for estimates with a shrinking kernel the limit is that of
+        so many samples.
     kind : "right" where the limit is the term's true integral, else "wrong".
     equation : the estimator, as LaTeX.
     converges_to : its limit, as LaTeX.
@@ -43,7 +44,7 @@ class Variant:
     name: str
     term: Term
     driver: Callable[..., None]
-    limit: Callable[[Scene], Limit]
+    limit: Callable[[Scene, int], Limit]
     kind: Literal["right", "wrong"]
     equation: str
     converges_to: str
