@@ -27,7 +27,7 @@ SCRIPT = '''\
     python render.py [NAME ...]      needs only: pip install REQUIREMENTS
 
 The bits are those of the variant and versions named in references.json. `llvm_ad_rgb` needs an LLVM that Dr.Jit
-works with (19 does, 14 to 16 abort), which DRJIT_LIBLLVM_PATH names.
+works with (19 does, 14 to 16 abort), which DRJIT_LIBLLVM_PATH names. On Linux Mitsuba needs libatomic.so.1.
 """
 
 import json

@@ -9,6 +9,7 @@ import pytest
 
 import reference
 from reference.export import export
+from reference.native import fetched_folder
 from scenes.limits import Limit, correct, physical
 from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky
 
@@ -38,6 +39,8 @@ def test_exported_script_reproduces_the_bits(tmp_path):
     folder = tmp_path / "exported"
     export(scene, limits, folder, spp=3, seed=5, replicates=2)
     outside = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    # Where the system has no libatomic the script's user must install it; here the fetched one stands for that.
+    outside["LD_LIBRARY_PATH"] = ":".join({str(file.parent) for file in fetched_folder().rglob("lib*.so.*")})
     # -I: neither the working folder nor PYTHONPATH; the project itself is then hidden by an import that fails.
     hidden = "import sys; sys.modules.update(scenes=None, reference=None, renderer=None, reports=None, termwise=None);"
     run = f"import runpy; sys.argv = ['render.py']; runpy.run_path({str(folder / 'render.py')!r}, run_name='__main__')"

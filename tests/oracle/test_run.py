@@ -396,7 +396,9 @@ def _process(
 ) -> subprocess.Popen[str]:
     """`termwise compare` with the caches of this module, but kernels and probes of the project."""
     code = (
-        "import resource, sys; from pathlib import Path; from reports import cli, run;"
+        "import resource, signal, sys; from pathlib import Path; from reports import cli, run;"
+        # A shell's background job, as these tests may be, ignores SIGINT and lets its children inherit that.
+        "signal.signal(signal.SIGINT, signal.default_int_handler);"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file}, {largest_file}));"
         f"run.cache_folder = lambda: Path({str(files / 'cache')!r}); cli.main()"
     )
