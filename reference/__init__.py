@@ -107,7 +107,7 @@ def shared(scene: Scene, limit: Limit) -> Limit:
     if limit.transport == "physical":
         return Limit(term, transport="physical")
     if term == "ambient":
-        return Limit(term, rings=limit.rings)
+        return Limit(term, occluded=limit.occluded, rings=limit.rings)
     scope = limit.scope or scene.scope
     if term == "direct":
         return Limit(term, scope=scope, kernel=limit.kernel)

@@ -77,6 +77,10 @@ class CookTorrance(mi.BSDF):
         value = self._factor * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(wo, self._alpha) * pdf
         return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
 
+    def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
+        """The factor k: albedo of the Lambertian lobe that a limit may put beside this one, in units of its own."""
+        return mi.Color3f(self._factor)
+
     def to_string(self) -> str:
         """Name the plugin with its parameters."""
         return f"CookTorrance[alpha={self._alpha}, f0={self._f0}, factor={self._factor}]"

@@ -27,8 +27,8 @@ def serves(loaded: Any, limit: dict[str, Any]) -> bool:
     ):
         return False
     if limit["term"] == "ambient":
-        return description["ambient"]["range"] >= ambient.UNBOUNDED
-    if limit["term"] == "direct" and description["has_lights"]:
+        return ambient.built_in(loaded, limit)
+    if limit["term"] == "direct" and limit["kernel"] is None and description["has_lights"]:
         # The film would show a light's surface, or with hidden emitters what is behind it; ours is black.
         return not any(shape.is_emitter() for shape in loaded.scenes["direct"].shapes())
     return False

@@ -111,6 +111,7 @@ class SceneArrays(NamedTuple):
     ambient: Vec3
     ambient_range: float
     max_bounces: int
+    rings: int
     draw_lights: bool
 
 
@@ -126,6 +127,7 @@ def from_scene(scene: Scene) -> SceneArrays:
         Vec3(*scene.ambient.color),
         scene.occlusion_range,
         scene.max_bounces,
+        scene.rings,
         scene.draw_lights,
     )
 

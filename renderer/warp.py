@@ -26,6 +26,17 @@ def hemisphere_ring(mu: float, v: float) -> Vec3:
 
 
 @device
+def ring_cosine(u: float, rings: int) -> float:
+    """Cosine `mu_k = k / (N + 1)` of ring k = 1 .. N, each for an N-th of the unit interval (paper's code).
+
+    Of N Sobol points, N a power of two, each ring gets one. The paper's rule has neither jitter nor the ends of the
+    interval: with h the integrand `(1/N) sum h(mu_k) = I + (I - (h(0) + h(1)) / 2) / N + O(N^-2)`, a bias that no
+    number of passes removes.
+    """
+    return (math.floor(u * rings) + 1.0) / (rings + 1.0)
+
+
+@device
 def square_to_cosine_hemisphere(u: float, v: float) -> Vec3:
     """Direction of density cos(theta) / pi, around z.
 

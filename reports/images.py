@@ -68,12 +68,22 @@ def limit_name(limit: Limit) -> str:
     words = [limit.term]
     if limit.transport == "physical":
         words.append("physical")
+    if not limit.occluded:
+        words.append("unoccluded")
     if limit.factor != 1.0:
         words.append(f"times {limit.factor:.6g}")
     if limit.lobe != 1.0:
         words.append(f"lobe times {limit.lobe:.6g}")
+    if limit.diffuse != 0.0:
+        words.append(f"plus diffuse {limit.diffuse:.6g}")
+    if limit.cosine != "incident":
+        words.append(f"{limit.cosine} cosine")
+    if limit.rings is not None:
+        words.append(f"{limit.rings} rings")
     if limit.scope:
         words.append(limit.scope)
+    if limit.kernel is not None:
+        words += (f"{name} {value}" for name, value in attrs.asdict(limit.kernel).items())
     return " ".join(words)
 
 

@@ -61,6 +61,8 @@ class Limit:
     ----------
     term : Term
         The term.
+    occluded : bool
+        Whether geometry hides the ambient light; without, AO is 1.
     scope : "first-hit" | "all" | None
         Which irradiance `direct` means, here or at the vertices of a specular chain. None for the
         terms in which no irradiance occurs.
@@ -82,6 +84,7 @@ class Limit:
     """
 
     term: Term
+    occluded: bool = True
     scope: Scope | None = None
     factor: float = 1.0
     lobe: float = 1.0

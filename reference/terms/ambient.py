@@ -1,7 +1,8 @@
 """Ambient: `color (1 - g) L_a0 (1/π) ∫ hit(w) mu dw`, hit(w) = 1 where nothing lies within the range.
 
 Infinite range: Mitsuba's `direct` integrator under a `constant` emitter of radiance L_a0. Finite range: no built-in
-has one, so cosine-distributed rays of limited length are cast here. Range 0: ambient occlusion is off.
+has one, so cosine-distributed rays of limited length are cast here. Range 0, or a limit without occlusion: AO is 1.
+With N rings the integral is `(2/N) Σ mu_k hit_k`, mu_k = k / (N + 1), its azimuths uniform.
 """
 
 from typing import Any
@@ -29,8 +30,8 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
 def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses."""
     scene = loaded.scenes["ambient"]
-    reach = loaded.description["ambient"]["range"]
-    if reach >= UNBOUNDED:
+    reach = loaded.description["ambient"]["range"] if limit["occluded"] else 0.0
+    if built_in(loaded, limit):
         direct = mi.load_dict(INTEGRATOR)
 
         def unbounded(ray: Any, sampler: Any, active: Any) -> Any:
@@ -49,15 +50,36 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
         if reach == 0.0:
             return dr.select(active, albedo * color, 0.0)
-        side = dr.mulsign(
-            mi.Float(1.0), si.wi.z
-        )  # the shading normal turned to the viewer, as `twosided` does
         seen = mi.Float(0.0)
         for _ in range(RAYS):
-            local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
-            occlusion_ray = si.spawn_ray(si.to_world(local * side))
+            if limit["rings"] is None:
+                local, weight = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active)), 1.0
+            else:
+                local = ring_direction(sampler.next_2d(active), limit["rings"])
+                weight = 2.0 * local.z
+            occlusion_ray = si.spawn_ray(si.to_world(towards_viewer(si, local)))
             occlusion_ray.maxt = dr.opaque(mi.Float, reach)
-            seen += dr.select(scene.ray_test(occlusion_ray, active), 0.0, 1.0)
+            seen += dr.select(scene.ray_test(occlusion_ray, active), 0.0, weight)
         return dr.select(active, albedo * color * (seen / RAYS), 0.0)
 
     return bounded
+
+
+def built_in(loaded: Any, limit: dict[str, Any]) -> bool:
+    """Whether the limit is that of Mitsuba's own integrator."""
+    bounded = loaded.description["ambient"]["range"] < UNBOUNDED
+    return limit["occluded"] and limit["rings"] is None and not bounded
+
+
+def ring_direction(sample: Any, rings: int) -> Any:
+    """Local direction of a random azimuth on one of N rings `mu_k = k / (N + 1)`, all as likely."""
+    count = dr.opaque(mi.Float, rings)
+    mu = (dr.minimum(dr.floor(sample.x * count), count - 1.0) + 1.0) / (count + 1.0)
+    sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.y)
+    radius = dr.safe_sqrt(1.0 - mu * mu)
+    return mi.Vector3f(radius * cos_phi, radius * sin_phi, mu)
+
+
+def towards_viewer(si: Any, local: Any) -> Any:
+    """Turn a direction about the shading normal to the viewer's side, as `twosided` turns the normal."""
+    return local * dr.mulsign(mi.Float(1.0), si.wi.z)

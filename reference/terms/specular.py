@@ -1,8 +1,9 @@
-"""Specular: `L_specular(x) = k g S[L_ambient + L_direct + L_specular + L_sky]`, M lobes deep.
+"""Specular: `L_specular(x) = g (k S + k_d H)[L_ambient + L_direct + L_specular + L_sky]`, M lobes deep.
 
-A chain of up to M lobe samples is traced. The sky is added where it leaves the scene; the diffuse terms at the vertices
-1..M are estimated at one of them a chain, vertex `1 + (number mod M)`, with weight M: the same mean as at every vertex
-for a fraction of the work. Lights are never met: their surfaces are black and end the chain.
+S is the integral against the Cook-Torrance lobe, of factor k (`lobe`), H against a white Lambertian one, of factor k_d
+(`diffuse`). A chain of up to M samples of them is traced. The sky is added where it leaves the scene; the diffuse terms
+at the vertices 1..M are estimated at one of them a chain, vertex `1 + (number mod M)`, with weight M: the same mean as
+at every vertex for a fraction of the work. Lights are never met: their surfaces are black and end the chain.
 """
 
 from typing import Any
@@ -17,13 +18,16 @@ from . import ambient, direct
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
     """Samples -> (specular term,); unbiased but for the depth of `direct`."""
     bounces = loaded.description["max_bounces"]
-    diffuse_terms = [term.incoming(loaded, limit) for term in (ambient, direct)]
+    # What the other terms are does not vary with the specular variant.
+    plain = limit | {"rings": None}
+    diffuse_terms = [term.incoming(loaded, plain) for term in (ambient, direct)]
+    sample_lobes = _lobes(limit)
 
     def estimate(samples: Samples) -> tuple[Any]:
         if bounces == 0:
             return (mi.Color3f(0.0),)
         color, ray, weight, active = _chain(
-            loaded.scenes["specular"], loaded.sky, bounces, limit["lobe"], samples
+            loaded.scenes["specular"], loaded.sky, bounces, sample_lobes, samples
         )
         dr.eval(color, ray, weight, active)  # one kernel for the chain, one for each diffuse term
         for term in diffuse_terms:
@@ -34,12 +38,11 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
 
 
 @dr.syntax
-def _chain(scene: Any, sky_radiance: Any, bounces: int, lobe: float, samples: Samples) -> Any:
-    """Follow the lobe: the sky's light, and ray, weight and existence of the segment to the chosen vertex."""
+def _chain(scene: Any, sky_radiance: Any, bounces: int, sample_lobes: Any, samples: Samples) -> Any:
+    """Follow the lobes: the sky's light, and ray, weight and existence of the segment to the chosen vertex."""
     sampler = samples.sampler
-    last, factor = dr.opaque(mi.UInt32, bounces), dr.opaque(mi.Float, lobe)
+    last = dr.opaque(mi.UInt32, bounces)
     chosen = samples.number % last
-    context = mi.BSDFContext()
     ray = mi.Ray3f(samples.ray)
     si = scene.ray_intersect(ray)
     active = mi.Bool(si.is_valid())
@@ -50,10 +53,10 @@ def _chain(scene: Any, sky_radiance: Any, bounces: int, lobe: float, samples: Sa
     kept_weight = mi.Color3f(0.0)
     kept = mi.Bool(False)
     while active:
-        bs, weight = si.bsdf().sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
-        throughput *= weight * factor
+        direction, weight = sample_lobes(si, sampler, active)
+        throughput *= weight
         active &= dr.any(throughput != 0.0)
-        ray = si.spawn_ray(si.to_world(bs.wo))
+        ray = si.spawn_ray(si.to_world(direction))
         si = scene.ray_intersect(ray, active)
         color += throughput * sky_radiance(ray, active & (si.t == dr.inf))
         active &= si.is_valid()
@@ -64,3 +67,44 @@ def _chain(scene: Any, sky_radiance: Any, bounces: int, lobe: float, samples: Sa
         depth += 1
         active &= depth < last
     return color, kept_ray, kept_weight, kept
+
+
+def _lobes(limit: dict[str, Any]) -> Any:
+    """(si, sampler, active) -> local direction and weight of one sample of `g (k S + k_d H)`."""
+    lobe, diffuse = limit["lobe"], limit["diffuse"]
+    outgoing = limit["cosine"] == "outgoing"
+    if outgoing and limit["rings"] is not None:
+        raise ValueError("limit: cosine = 'outgoing' with rings: allowed is one of the two")
+    context = mi.BSDFContext()
+    factor = dr.opaque(mi.Float, lobe)
+
+    def visible_normals(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        bs, weight = si.bsdf().sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+        weight = weight * factor
+        if outgoing:
+            # The view's cosine in place of the light's; the weight's G1 falls as fast as the latter.
+            ratio = mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(bs.wo)
+            weight = dr.select(dr.any(weight != 0.0), weight * ratio, 0.0)
+        return bs.wo, weight
+
+    def either(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        wo, weight = visible_normals(si, sampler, active)
+        share = diffuse / (diffuse + lobe)
+        gloss = si.bsdf().eval_diffuse_reflectance(si, active)
+        cosine = ambient.towards_viewer(si, mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active)))
+        chosen = sampler.next_1d(active) < share
+        return dr.select(chosen, cosine, wo), dr.select(
+            chosen, gloss * (diffuse / share), weight / (1.0 - share)
+        )
+
+    def on_rings(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        local = ambient.ring_direction(sampler.next_2d(active), limit["rings"])
+        wo = ambient.towards_viewer(si, local)
+        bsdf = si.bsdf()
+        gloss = bsdf.eval_diffuse_reflectance(si, active)
+        weight = (2.0 * dr.pi) * factor * bsdf.eval(context, si, wo, active)
+        return wo, weight + gloss * (2.0 * diffuse * local.z)
+
+    if limit["rings"] is not None:
+        return on_rings
+    return either if diffuse > 0.0 else visible_normals

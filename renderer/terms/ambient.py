@@ -1,10 +1,19 @@
 """Ambient: `L_ambient = color (1 - gloss) AO L_a0`, `AO = (1/pi) ∫ hit(w_i) (w_i.n) dw_i`.
 
-hit is 1 where nothing lies within the ambient range along w_i. The paper's integral has no 1 / pi, so it is pi times
-brighter; an open surface there gets pi L_a0 and not L_a0.
+hit is 1 where nothing lies within the ambient range along w_i. One direction a sample; the variants differ in how it
+is drawn and weighted, and hence in what they converge to:
+
+- `cosine`: density mu / pi, weight 1. AO, unbiased, and the least variance of all.
+- `uniform`: mu uniform, density 1 / (2 pi), weight 2 mu. AO, unbiased.
+- `paper`: the same directions, weight 2 pi mu: the paper's integral has no 1 / pi, so an open surface gets pi L_a0.
+- `paper-loop`: the rings `mu_k = k / (N + 1)` of the loop in the paper's code, weight mu_k: half of the rule
+  `(2 pi / N) sum mu_k hit / pi`, AO / 2 as N grows. `(1/N) sum mu_k = 1/2`: on an open surface the rule is exact.
+- `constant`: no rays, weight 1: ambient occlusion off.
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -12,17 +21,33 @@ from renderer.arrays import SceneArrays
 from renderer.film import Tile, accumulate, first_surface
 from renderer.geometry.bvh import STACK_SIZE
 from renderer.jit import device, kernel
+from renderer.photon_map import PhotonMap
 from renderer.sobol import Sampler, sample_2d
 from renderer.surface import Surface, occluded
-from renderer.terms.variant import Variant
+from renderer.terms.variant import Chain, Variant
 from renderer.vector import Vec3, frame, is_black, mul, scale, to_world, vec3
-from renderer.warp import hemisphere_ring, square_to_cosine_hemisphere
+from renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
 from scenes.limits import Limit
+from scenes.model import Scene
 
 OCCLUSION = 1  # the pair of dimensions of the occlusion ray
 
+COSINE, UNIFORM, PAPER, PAPER_LOOP, CONSTANT = range(5)
 
-COSINE, PAPER = 0, 1
+
+@device
+def sample_hemisphere(rule: int, rings: int, u: float, v: float) -> tuple[Vec3, float]:
+    """Direction in the local frame by `rule`, and its weight in the estimate of AO."""
+    if rule == COSINE:
+        return square_to_cosine_hemisphere(u, v), 1.0
+    if rule == PAPER_LOOP:
+        u = ring_cosine(u, rings)
+    weight = u
+    if rule == UNIFORM:
+        weight = 2.0 * u
+    elif rule == PAPER:
+        weight = 2.0 * math.pi * u
+    return hemisphere_ring(u, v), weight
 
 
 @device
@@ -30,20 +55,15 @@ def ambient_radiance(
     scene: SceneArrays, rule: int, surface: Surface, sampler: Sampler, stack: np.ndarray
 ) -> Vec3:
     """Ambient radiance of a surface by one occlusion ray, drawn by `rule`."""
-    weight = mul(vec3(scene.materials.diffuse, surface.object), scene.ambient)
-    if is_black(weight) or scene.ambient_range == 0.0:
-        return weight
+    radiance = mul(vec3(scene.materials.diffuse, surface.object), scene.ambient)
+    if is_black(radiance) or scene.ambient_range == 0.0 or rule == CONSTANT:
+        return radiance
     u, v = sample_2d(sampler, OCCLUSION)
-    if rule == PAPER:
-        # Uniform cosine, weight 2 pi mu: the integral without 1 / pi (paper).
-        local = hemisphere_ring(u, v)
-        weight = scale(weight, 2.0 * math.pi * u)
-    else:
-        local = square_to_cosine_hemisphere(u, v)
+    local, weight = sample_hemisphere(rule, scene.rings, u, v)
     direction = to_world(frame(surface.normal), local)
     if occluded(scene, surface, direction, scene.ambient_range, -1, stack):
         return Vec3(0.0, 0.0, 0.0)
-    return weight
+    return scale(radiance, weight)
 
 
 @kernel
@@ -59,30 +79,71 @@ def _occlusion(
                     accumulate(out, x, y, ambient_radiance(scene, rule, surface, sampler, stack))
 
 
+def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:
+    return lambda scene, chain, photons: (rule,)
+
+
+def _limit(scene: Scene, *, factor: float = 1.0, rings: int | None = None) -> Limit:
+    """What an estimator becomes where ambient occlusion is off: L_a0 without a ray, in all variants (paper)."""
+    on = scene.toggles.ambient_occlusion
+    return Limit("ambient", factor=factor, rings=rings) if on else Limit("ambient", occluded=False)
+
+
 VARIANTS = (
     Variant(
         name="cosine",
         term="ambient",
         driver=_occlusion,
-        inputs=lambda scene, chain, photons: (COSINE,),
-        limit=lambda scene, samples: Limit("ambient"),
+        inputs=_inputs(COSINE),
+        limit=lambda scene, samples: _limit(scene),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \mathrm{hit}(\omega_k)\, L_{a0}, \quad \omega_k \sim \frac{\cos\theta}{\pi}",
         converges_to=r"\mathrm{AO} \cdot L_{a0}",
         source="cosine-weighted sampling; Owen-scrambled Sobol points (Burley, JCGT 2020)",
     ),
     Variant(
+        name="uniform",
+        term="ambient",
+        driver=_occlusion,
+        inputs=_inputs(UNIFORM),
+        limit=lambda scene, samples: _limit(scene),
+        kind="right",
+        equation=r"\frac{2}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k - 1 + U}{N}",
+        converges_to=r"\mathrm{AO} \cdot L_{a0}",
+        source="the paper's sampling with the factor that its integral lacks",
+    ),
+    Variant(
         name="paper",
         term="ambient",
         driver=_occlusion,
-        inputs=lambda scene, chain, photons: (PAPER,),
-        limit=lambda scene, samples: Limit(
-            "ambient", factor=math.pi if scene.toggles.ambient_occlusion else 1.0
-        ),
+        inputs=_inputs(PAPER),
+        limit=lambda scene, samples: _limit(scene, factor=math.pi),
         kind="wrong",
         equation=r"\frac{2\pi}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k - 1 + U}{N}",
         converges_to=r"\pi \cdot \mathrm{AO} \cdot L_{a0}",
         source="the paper's integral, which has no 1/π",
         ratio=lambda scene: math.pi if scene.toggles.ambient_occlusion else 1.0,
+    ),
+    Variant(
+        name="paper-loop",
+        term="ambient",
+        driver=_occlusion,
+        inputs=_inputs(PAPER_LOOP),
+        limit=lambda scene, samples: _limit(scene, factor=0.5, rings=scene.rings),
+        kind="wrong",
+        equation=r"\frac{1}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k}{N + 1}",
+        converges_to=r"\frac{1}{2} \mathrm{AO} \cdot L_{a0} + O(1/N)",
+        source="the loop of the paper's code: fixed rings, divided by N alone",
+    ),
+    Variant(
+        name="constant",
+        term="ambient",
+        driver=_occlusion,
+        inputs=_inputs(CONSTANT),
+        limit=lambda scene, samples: Limit("ambient", occluded=False),
+        kind="wrong",
+        equation=r"L_{a0}",
+        converges_to=r"L_{a0}",
+        source="the paper's ambient light with ambient occlusion switched off",
     ),
 )

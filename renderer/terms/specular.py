@@ -5,7 +5,16 @@ sky. One chain a sample: the paper's tree of N^M rays has the same mean at expon
 objects and the sky, never the lights (paper). The ambient light at its vertices is the variant `cosine`; direct is
 `next-event` or `path` (`Chain`).
 
-The paper's BRDF is `D F G / (pi mu_i mu_o)`, 4 / pi times the model whose D is normalised, at every vertex.
+The variants differ in how w_i is drawn and weighted. `vndf` and `uniform` are unbiased. The others are the paper's;
+with H[L] = (1/pi) ∫ mu_i L dw and a density 1 / (2 pi) the mean of a weight w is (1 / 2 pi) ∫ w L dw:
+
+- `paper`: w = 2 D F G / mu_o = (4/pi) 2 pi f mu_i, from the BRDF `D F G / (pi mu_i mu_o)`: (4/pi) S.
+- `paper-literal`: w = 2 D F G / mu_i, the letters as printed: mu_o in the place of mu_i, (4/pi) ∫ f mu_o L dw.
+- `paper-code`: w = mu_k + D F G / mu_o, a sum where a product is meant: H / 2 + (2/pi) S, on rings.
+- `paper-code-no-pi`: the same with D of 1982, which has no 1 / pi: H / 2 + 2 S.
+
+Each factor acts at every vertex: a chain in a closed scene gains q = gloss (diffuse + lobe A) a bounce, A = S[1], and
+its series over the bounces diverges where q > 1.
 """
 
 import math
@@ -28,8 +37,20 @@ from renderer.surface import Surface, trace
 from renderer.terms.ambient import COSINE, ambient_radiance
 from renderer.terms.direct import direct_next_event, direct_path
 from renderer.terms.variant import Chain, Stored, Variant
-from renderer.vector import Vec3, add, frame, is_black, max_component, mul, scale, to_local, to_world, vec3
-from renderer.warp import hemisphere_ring
+from renderer.vector import (
+    Vec3,
+    add,
+    frame,
+    is_black,
+    mad,
+    max_component,
+    mul,
+    scale,
+    to_local,
+    to_world,
+    vec3,
+)
+from renderer.warp import hemisphere_ring, ring_cosine
 from scenes.limits import Limit
 from scenes.model import Scene
 
@@ -41,20 +62,30 @@ FAINT = 0.1
 _CHAIN = 1 << 20  # keys of the chain's vertices: beyond those of a path
 
 
-VNDF, PAPER = 0, 1
+VNDF, UNIFORM, PAPER, PAPER_LITERAL, PAPER_CODE, PAPER_CODE_NO_PI = range(6)
 
 
 @device
-def sample_variant(lobe: int, wo: Vec3, alpha: float, f0: Vec3, u: float, v: float) -> tuple[Vec3, Vec3]:
+def sample_variant(
+    lobe: int, rings: int, wo: Vec3, alpha: float, f0: Vec3, u: float, v: float
+) -> tuple[Vec3, Vec3]:
     """Direction w_i and its weight by the estimator `lobe`, in the local frame."""
+    if lobe == VNDF:
+        return sample_lobe(wo, alpha, f0, u, v)
+    if lobe == PAPER_CODE or lobe == PAPER_CODE_NO_PI:
+        u = ring_cosine(u, rings)
+    wi = hemisphere_ring(u, v)
+    if wo.z <= 0.0:
+        return wi, Vec3(0.0, 0.0, 0.0)
+    dfg = eval_dfg(wi, wo, alpha, f0)
+    if lobe == UNIFORM:
+        return wi, scale(dfg, 0.5 * math.pi / wo.z)
     if lobe == PAPER:
-        # Uniform cosine, weight 2 D F G / mu_o: 4 / pi times S (the paper's formula, its consistent reading).
-        wi = hemisphere_ring(u, v)
-        if wo.z <= 0.0:
-            return wi, Vec3(0.0, 0.0, 0.0)
-        return wi, scale(eval_dfg(wi, wo, alpha, f0), 2.0 / wo.z)
-    # Visible normals, weight F G1(w_i) <= 1: unbiased for S.
-    return sample_lobe(wo, alpha, f0, u, v)
+        return wi, scale(dfg, 2.0 / wo.z)
+    if lobe == PAPER_LITERAL:
+        return wi, scale(dfg, 2.0 / wi.z)
+    weight = math.pi / wo.z if lobe == PAPER_CODE_NO_PI else 1.0 / wo.z
+    return wi, mad(dfg, weight, Vec3(wi.z, wi.z, wi.z))
 
 
 @device
@@ -102,7 +133,9 @@ def _chain(
                     wo = to_local(local, surface.wo)
                     u, v = sample_2d(sampler, LOBE)
                     f0 = vec3(scene.materials.f0, material)
-                    wi, weight = sample_variant(lobe, wo, scene.materials.alpha[material], f0, u, v)
+                    wi, weight = sample_variant(
+                        lobe, scene.rings, wo, scene.materials.alpha[material], f0, u, v
+                    )
                     throughput = scale(mul(throughput, weight), gloss)
                     if is_black(throughput):
                         break
@@ -131,6 +164,16 @@ def _photons(scene: Scene, chain: Chain) -> Stored | None:
     return "scattered" if scene.scope == "all" and chain == "next-event" else None
 
 
+def _limit(lobe: float = 1.0, **changes: Any) -> Callable[[Scene, int], Limit]:
+    return lambda scene, samples: Limit("specular", scope=scene.scope, lobe=lobe, **changes)
+
+
+def _rings(lobe: float) -> Callable[[Scene, int], Limit]:
+    return lambda scene, samples: Limit(
+        "specular", scope=scene.scope, lobe=lobe, diffuse=0.5, rings=scene.rings
+    )
+
+
 VARIANTS = (
     Variant(
         name="vndf",
@@ -138,11 +181,23 @@ VARIANTS = (
         driver=_chain,
         inputs=_inputs(VNDF),
         photons=_photons,
-        limit=lambda scene, samples: Limit("specular", scope=scene.scope),
+        limit=_limit(),
         kind="right",
         equation=r"\frac{1}{N} \sum_k F(\omega_o \cdot m_k)\, G_1(\omega_k)\, L_k, \quad m_k \sim D_{\omega_o}",
         converges_to=r"S[L]",
         source="Beckmann visible normals: Heitz, d'Eon, EGSR 2014",
+    ),
+    Variant(
+        name="uniform",
+        term="specular",
+        driver=_chain,
+        inputs=_inputs(UNIFORM),
+        photons=_photons,
+        limit=_limit(),
+        kind="right",
+        equation=r"\frac{2 \pi}{N} \sum_k f\, \mu_k L_k, \quad \mu_k = \frac{k - 1 + U}{N}",
+        converges_to=r"S[L]",
+        source="the paper's sampling with a normalised BRDF",
     ),
     Variant(
         name="paper",
@@ -150,11 +205,47 @@ VARIANTS = (
         driver=_chain,
         inputs=_inputs(PAPER),
         photons=_photons,
-        limit=lambda scene, samples: Limit("specular", scope=scene.scope, lobe=4.0 / math.pi),
+        limit=_limit(4.0 / math.pi),
         kind="wrong",
         equation=r"\frac{2}{N} \sum_k \frac{D F G}{\mu_o} L_k, \quad \mu_k = \frac{k - 1 + U}{N}",
         converges_to=r"\frac{4}{\pi} S[L] \text{ at every vertex}",
         source="the paper's BRDF D F G / (π μ_i μ_o), sampled uniformly over the hemisphere",
         ratio=lambda scene: 4.0 / math.pi if scene.max_bounces == 1 else None,
+    ),
+    Variant(
+        name="paper-literal",
+        term="specular",
+        driver=_chain,
+        inputs=_inputs(PAPER_LITERAL),
+        photons=_photons,
+        limit=_limit(4.0 / math.pi, cosine="outgoing"),
+        kind="wrong",
+        equation=r"\frac{2}{N} \sum_k \frac{D F G}{\mu_k} L_k, \quad \mu_k = \frac{k - 1 + U}{N}",
+        converges_to=r"\frac{4}{\pi} \int_\Omega f\, \mu_o L\, d\omega",
+        source="the paper's Monte Carlo formula, letter by letter: not its own integral",
+    ),
+    Variant(
+        name="paper-code",
+        term="specular",
+        driver=_chain,
+        inputs=_inputs(PAPER_CODE),
+        photons=_photons,
+        limit=_rings(2.0 / math.pi),
+        kind="wrong",
+        equation=r"\frac{1}{N} \sum_k \Big( \mu_k + \frac{F D G}{\mu_o} \Big) L_k, \quad \mu_k = \frac{k}{N + 1}",
+        converges_to=r"\frac{1}{2} H[L] + \frac{2}{\pi} S[L] + O(1/N)",
+        source="the paper's code, which adds where its formula multiplies; D normalised",
+    ),
+    Variant(
+        name="paper-code-no-pi",
+        term="specular",
+        driver=_chain,
+        inputs=_inputs(PAPER_CODE_NO_PI),
+        photons=_photons,
+        limit=_rings(2.0),
+        kind="wrong",
+        equation=r"\frac{1}{N} \sum_k \Big( \mu_k + \frac{\pi F D G}{\mu_o} \Big) L_k, \quad \mu_k = \frac{k}{N + 1}",
+        converges_to=r"\frac{1}{2} H[L] + 2\, S[L] + O(1/N)",
+        source="the same with Cook and Torrance's D of 1982, which has no 1/π",
     ),
 )

@@ -8,6 +8,8 @@ import pytest
 import trimesh
 
 import reference
+from reports import closed_forms
+from scenes.analytic import furnace
 from scenes.limits import Limit, correct, physical
 from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky, Toggles
 
@@ -153,6 +155,51 @@ def test_specular_chain_in_a_closed_sphere(bounces, lobe):
     # The chosen vertex varies within a pixel: its weight M q^k has a spread that 65536 chains average out.
     weights = bounces * 0.2 * q ** np.arange(1, bounces + 1)
     assert image.mean(dtype=float) == pytest.approx(expected, abs=4.5 * weights.std() / 256 + 1e-3 * expected)
+
+
+FURNACES = [(0.3, 0.7, 1.0), (0.6, 0.9, 0.04), (1.0, 0.3, 0.5)]
+LIMITS = {
+    "correct": Limit("specular", scope="all"),
+    "lobe": Limit("specular", scope="all", lobe=4 / np.pi),
+    "outgoing cosine": Limit("specular", scope="all", lobe=4 / np.pi, cosine="outgoing"),
+    "blend": Limit("specular", scope="all", lobe=2 / np.pi, diffuse=0.5),
+    "rings": Limit("specular", scope="all", lobe=2 / np.pi, diffuse=0.5, rings=16),
+    "few rings": Limit("specular", scope="all", lobe=2.0, diffuse=0.5, rings=3),
+}
+
+
+@pytest.mark.parametrize("name", LIMITS)
+@pytest.mark.parametrize(("alpha", "mu_o", "f0"), FURNACES)
+def test_specular_limits_in_a_furnace(alpha, mu_o, f0, name):
+    """A plate under a white sky, gloss .7: `gloss (lobe A + diffuse)` by quadrature, and the paper's rule on rings."""
+    scene = attrs.evolve(
+        furnace(roughness=alpha, mu_o=mu_o, f0=f0, gloss=0.7, color=0.5), resolution=(16, 16)
+    )
+    image = reference.render(scene, LIMITS[name], spp=128, seed=SEED, replicates=8)
+    expected = 0.7 * closed_forms.albedo(LIMITS[name], scene.objects[0].material, mu_o)[0]
+    error = np.sqrt(image.variance[..., 0].mean()) / 16
+    assert error < 0.01 * expected
+    # 2e-4: float32, and the field of view.
+    assert image.mean[..., 0].mean() == pytest.approx(expected, abs=4.5 * error + 2e-4 * expected)
+
+
+@pytest.mark.parametrize("rings", [1, 4, 16])
+def test_ambient_rings_below_a_disc(rings):
+    """Rings lower than the rim's cosine are open: `(2/N) sum mu_k` over them, to the bit for any azimuth."""
+    scene = Scene("disc", SPOT, (plane(), disc(1.0, 1.0)), ambient=Ambient(WHITE), resolution=(8, 8))
+    image = reference.replicate(scene, Limit("ambient", rings=rings), spp=64, seed=SEED)
+    mu = np.arange(1, rings + 1) / (rings + 1)
+    seen = 2 * mu * (mu < np.sqrt(0.5))
+    sigma = seen.std() / np.sqrt(4 * 64 * 64)
+    assert image.mean(dtype=float) == pytest.approx(seen.mean(), abs=4.5 * sigma + 1e-6)
+
+
+def test_ambient_without_occlusion():
+    scene = Scene(
+        "disc", SPOT, (plane(), disc(1.0, 1.0)), ambient=Ambient((0.2, 0.4, 0.8)), resolution=(8, 8)
+    )
+    image = reference.replicate(scene, Limit("ambient", occluded=False), spp=4, seed=SEED)
+    np.testing.assert_allclose(image, np.broadcast_to((0.2, 0.4, 0.8), image.shape), rtol=1e-6)
 
 
 def test_specular_mirror_sees_the_sky_with_parallax():

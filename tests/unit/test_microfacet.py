@@ -23,9 +23,17 @@ from renderer.microfacet import (
     sample_visible_normal,
     smith_g1,
 )
-from renderer.terms.specular import PAPER, VNDF, sample_variant
+from renderer.terms.specular import (
+    PAPER,
+    PAPER_CODE,
+    PAPER_CODE_NO_PI,
+    PAPER_LITERAL,
+    UNIFORM,
+    VNDF,
+    sample_variant,
+)
 from renderer.vector import Vec3
-from renderer.warp import hemisphere_ring
+from renderer.warp import hemisphere_ring, ring_cosine
 
 ALPHAS = [0.05, 0.1, 0.3, 0.6, 1.0]
 COSINES = [1.0, 0.999, 0.7, 0.3, 0.05]
@@ -216,24 +224,77 @@ def test_furnace_by_quadrature_of_eval(alpha, mu_o, expected, compiled):
     assert 2 * np.pi * np.mean(values) == pytest.approx(albedo(mu_o, alpha), abs=1e-3 if compiled else 4e-3)
 
 
+# What each estimator becomes under a white sky: the factor of the lobe, and the cosine that multiplies it.
+MEANS = {
+    UNIFORM: (1.0, "incident"),
+    PAPER: (4 / math.pi, "incident"),
+    PAPER_LITERAL: (4 / math.pi, "outgoing"),
+}
+
+
+@pytest.mark.parametrize("estimator", MEANS, ids=("uniform", "paper", "paper-literal"))
 @pytest.mark.parametrize(("alpha", "mu_o", "expected"), FURNACE[1:])
-def test_paper_variant_is_four_over_pi_too_bright(alpha, mu_o, expected, compiled):
-    """The paper's BRDF with L = 1 gives (4 / pi) A: midpoint rule over its uniform cosines and azimuths."""
+def test_jittered_estimators_have_their_mean(estimator, alpha, mu_o, expected, compiled):
+    """The mean of the weight over the unit square, by the midpoint rule, against SciPy's quadrature of the integral."""
+    lobe_factor, cosine = MEANS[estimator]
     n = 160 if compiled else 60
     x = (np.arange(n) + 0.5) / n
     wo = direction(mu_o)
     mean = np.mean(
-        [sample_variant(PAPER, wo, alpha, WHITE, u, v)[1].x for u in x.tolist() for v in x.tolist()]
+        [sample_variant(estimator, 1, wo, alpha, WHITE, u, v)[1].x for u in x.tolist() for v in x.tolist()]
     )
-    assert mean == pytest.approx(4 / math.pi * albedo(mu_o, alpha), abs=1.5e-3 if compiled else 6e-3)
+    over = (lambda mu: 1.0) if cosine == "incident" else (lambda mu: mu_o / mu)
+    exact = integrate.dblquad(
+        lambda phi, mu: 2 * over(mu) * lobe(np.float64(mu), phi, mu_o, alpha),
+        0,
+        1 - 1e-12,
+        0,
+        math.pi,
+        epsabs=1e-5,
+    )[0]
+    assert mean == pytest.approx(lobe_factor * exact, rel=2e-3 if compiled else 1e-2)
+
+
+@pytest.mark.parametrize("rings", [1, 5, 16])
+@pytest.mark.parametrize(("estimator", "factor"), [(PAPER_CODE, 1.0), (PAPER_CODE_NO_PI, math.pi)])
+def test_code_estimators_have_the_mean_of_the_loop(estimator, factor, rings, compiled):
+    """The paper's loop over k = 1 .. N, its azimuth averaged: (1/N) sum mu_k + F D G / mu_o, restated in NumPy."""
+    alpha, mu_o = 0.4, 0.6
+    n = 64
+    phi = 2 * np.pi * (np.arange(n) + 0.5) / n
+    mu = np.arange(1, rings + 1)[:, None] / (rings + 1)
+    expected = np.mean(mu + factor * 4 * lobe(mu + 0 * phi, phi + 0 * mu, mu_o, alpha))
+    u = (np.arange(rings) + 0.5) / rings
+    v = (np.arange(n) + 0.5) / n
+    wo = direction(mu_o)
+    mean = np.mean(
+        [
+            sample_variant(estimator, rings, wo, alpha, WHITE, a, b)[1].x
+            for a in u.tolist()
+            for b in v.tolist()
+        ]
+    )
+    assert mean == pytest.approx(expected, rel=1e-12)
+
+
+def test_every_ring_has_the_same_share():
+    """Ring k takes u in [(k - 1)/N, k/N): the cosines k / (N + 1), neither 0 nor 1 among them."""
+    u = np.linspace(2.0**-33, 1 - 2.0**-33, 4001)
+    cosines, counts = np.unique([ring_cosine(x, 5) for x in u.tolist()], return_counts=True)
+    np.testing.assert_allclose(cosines, np.arange(1, 6) / 6, rtol=1e-15)
+    assert counts.max() - counts.min() <= 1
 
 
 def test_variants_sample_what_they_say():
-    """`vndf` is `sample_lobe`; `paper` draws the cosine u and the azimuth 2 pi v, and nothing from below."""
+    """`vndf` is `sample_lobe`; the others draw the cosine u, or its ring, and the azimuth 2 pi v, none from below."""
     wo = direction(0.4, 1.0)
-    assert sample_variant(VNDF, wo, 0.3, WHITE, 0.3, 0.6) == sample_lobe(wo, 0.3, WHITE, 0.3, 0.6)
-    assert sample_variant(PAPER, wo, 0.3, WHITE, 0.3, 0.6)[0] == hemisphere_ring(0.3, 0.6)
-    assert sample_variant(PAPER, direction(-0.1), 0.3, WHITE, 0.3, 0.6)[1] == (0.0, 0.0, 0.0)
+    assert sample_variant(VNDF, 1, wo, 0.3, WHITE, 0.3, 0.6) == sample_lobe(wo, 0.3, WHITE, 0.3, 0.6)
+    for estimator in (UNIFORM, PAPER, PAPER_LITERAL, PAPER_CODE):
+        cosine = 0.3 if estimator != PAPER_CODE else 1 / 3
+        wi, weight = sample_variant(estimator, 2, wo, 0.3, WHITE, 0.3, 0.6)
+        assert wi == hemisphere_ring(cosine, 0.6)
+        assert weight.x > 0.0
+        assert sample_variant(estimator, 2, direction(-0.1), 0.3, WHITE, 0.3, 0.6)[1] == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("mu_o", [1e-8, 1e-4, 0.1, 1 - 1e-12, 1.0])

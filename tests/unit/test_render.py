@@ -442,7 +442,10 @@ def test_one_pixel_and_one_photon(busy):
     ("options", "message"),
     [
         ({"term": "glow"}, "term = 'glow': allowed are ambient, direct, specular, background"),
-        ({"variant": "best"}, "variant = 'best' of ambient: allowed are cosine, paper"),
+        (
+            {"variant": "best"},
+            "variant = 'best' of ambient: allowed are cosine, uniform, paper, paper-loop, constant",
+        ),
         ({"samples": 0}, "samples = 0: allowed is at least 1"),
         ({"samples": -4}, "samples = -4: allowed is at least 1"),
         ({"replicates": 0}, "replicates = 0: allowed is at least 1"),
