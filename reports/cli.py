@@ -66,7 +66,7 @@ def compare(
     study
         quick, standard, full, or the path of a study file.
     out
-        The report goes to OUT/compare.
+        The report goes to OUT/compare, or to the folder that the study names.
     backend
         Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given.
     json_
@@ -78,7 +78,7 @@ def compare(
     mitsuba = _choose_backend(backend)
     chosen = studies.load(study)
     prepared = run.scenes_of(chosen, scenes)
-    folder = _folder(out / "compare")
+    folder = _folder(out / chosen.folder)
     results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
     if results is None:
         with _progress() as bar:

@@ -25,9 +25,10 @@ from reference import backend, store
 from renderer.plan import plan, skipped
 from renderer.terms import VARIANTS, Variant
 from renderer.tiles import Engine
-from reports import cells, images, metrics, verdict
+from reports import cells, closed_forms, exact, images, metrics, verdict
 from reports.cells import Cell
 from reports.convergence import PREFIXES_NEEDED, Convergence, fit, mean_square_error
+from reports.exact import Case
 from reports.study import Study
 from reports.verdict import Estimate, Statistics, Verdict
 from scenes import limits
@@ -64,6 +65,15 @@ class References:
     seconds: dict[Limit, float]
     spp: dict[Limit, int]
     shortfall: dict[Limit, str]
+
+    def described(self, *limits: Limit) -> dict[str, Any]:
+        """What a row says of the references that it was measured against."""
+        fields: dict[str, Any] = {
+            "reference_samples": self.spp[limits[0]],
+            "reference_seconds": sum(self.seconds[limit] for limit in limits),
+        }
+        shortfall = [self.shortfall[limit] for limit in limits if limit in self.shortfall]
+        return fields | ({"reference_shortfall": "; ".join(shortfall)} if shortfall else {})
 
 
 def scenes_of(study: Study, names: tuple[str, ...] = ()) -> tuple[Scene, ...]:
@@ -144,6 +154,8 @@ def measure(
         + study.reference_replicates * len(_limits(study, scene))
         for scene in scenes
     )
+    known = list(exact.cases(study))
+    steps += study.replicates * len(known)
     done = 0
 
     def advance(what: str) -> None:
@@ -175,6 +187,8 @@ def measure(
         waiting += _rows(study, scene, measured, references, objects)
         pictures.write(scene, measured, references.images, versions())
         described[scene.name] = _describe(study, scene)
+    for case in known:
+        waiting += _exact_rows(study, case, lambda case=case: advance(f"{case.name}: {case.variant.name}"))
     tests = sum(_tests(row) for row in waiting if row.judged)
     rows = [_decided(row, tests) for row in waiting]
     results = {
@@ -295,8 +309,7 @@ def _rows(
                     seconds=float(cell.seconds[:, p].sum()),
                     compile_seconds=cell.compile_seconds if last else None,
                     error=errors[p],
-                    references=references,
-                    limits=(own,),
+                    source=references.described(own),
                     kind=variant.kind,
                     kernel=kernel,
                     allowance=variant.allowance if kernel else 0.0,
@@ -325,8 +338,7 @@ def _rows(
                     else statistics(cell.images[:, -1], references.images[limit]),
                     samples=cell.samples[-1],
                     seconds=float(cell.seconds[:, -1].sum()),
-                    references=references,
-                    limits=(limit,),
+                    source=references.described(limit),
                     kind=variant.kind,
                     kernel=kernel,
                     judged=False,
@@ -334,6 +346,56 @@ def _rows(
                 )
             )
     rows += _total_rows(study, scene, measured, references, statistics)
+    return rows
+
+
+def _exact_rows(study: Study, case: Case, progress: Callable[[], object]) -> list[_Row]:
+    """Rows of a variant against numbers that are known: its own limit's, and the right one's."""
+    with Engine(case.scene) as engine:
+        cell = cells.cell(
+            engine,
+            case.variant,
+            samples=case.samples,
+            replicates=study.replicates,
+            seed=study.seed,
+            chain=CHAIN,
+            folder=cache_folder() / "cells",
+            progress=progress,
+        )
+    ours = cell.images[:, -1]
+    own, right = (float(np.dot(value, verdict.LUMINANCE)) for value in (case.own, case.correct))
+    rows = []
+    for against, value in (("own", case.own), ("correct", case.correct)):
+        judged = against == "own"
+        reference = np.broadcast_to(value, (1, *ours.shape[1:]))
+        rows.append(
+            _row(
+                {
+                    "scene": case.name,
+                    "term": case.variant.term,
+                    "variant": case.variant.name,
+                    "kind": case.variant.kind,
+                    "scope": case.scene.scope,
+                    "against": against,
+                    "group": case.group,
+                    "at": case.at,
+                    "gain": case.gain,
+                    "expected": value.tolist(),
+                },
+                ours,
+                reference,
+                case.scene,
+                statistics=verdict.measure(ours, reference, exact=True),
+                samples=cell.samples[-1],
+                seconds=float(cell.seconds[:, -1].sum()),
+                source={"reference_samples": None, "reference_seconds": 0.0},
+                kind=case.variant.kind,
+                kernel=False,
+                margin=verdict.margin_of(case.variant.kind, own, right),
+                judged=judged,
+                predicted_bias=0.0 if judged else own / right - 1.0,
+            )
+        )
     return rows
 
 
@@ -373,8 +435,7 @@ def _total_rows(
                 statistics=statistics(ours, reference),
                 samples=max(cell.samples[-1] for cell in default.values()),
                 seconds=float(sum(cell.seconds[:, -1].sum() for cell in default.values())),
-                references=references,
-                limits=chosen,
+                source=references.described(*chosen),
                 kind="right",
                 kernel=kernel,
                 allowance=allowance if against == "own" else 0.0,
@@ -395,8 +456,7 @@ def _row(
     statistics: Statistics | None,
     samples: int,
     seconds: float,
-    references: References,
-    limits: tuple[Limit, ...],
+    source: dict[str, Any],
     judged: bool,
     compile_seconds: float | None = None,
     error: Estimate | None = None,
@@ -413,18 +473,14 @@ def _row(
         **fields,
         "samples": samples,
         "replicates": len(ours),
-        "reference_samples": references.spp[limits[0]],
         "reference_replicates": len(reference),
+        **source,
         "seconds": seconds,
         "compile_seconds": compile_seconds,
-        "reference_seconds": sum(references.seconds[limit] for limit in limits),
         **{name: math.sqrt(max(0.0, square)) for name, square in squares.items()},
         "relmse": None if black else float(np.mean([metrics.relative_mse(truth, image) for image in shown])),
         "ssim": _ssim(truth, shown, scene.exposure),
     }
-    warnings = [references.shortfall[limit] for limit in limits if limit in references.shortfall]
-    if warnings:
-        fields["reference_shortfall"] = "; ".join(warnings)
     return _Row(fields, statistics, {**decide, "samples": samples, "seconds": seconds}, judged)
 
 
@@ -494,6 +550,7 @@ def _describe(study: Study, scene: Scene) -> dict[str, Any]:
             "photons per pass": scene.photons.count,
             "radius of the first pass": scene.photons.radius,
             "k of the paper's photon search": scene.photons.nearest,
+            "rings of the paper's rule": scene.rings,
             "shadows": scene.shadows,
             "lights drawn": scene.draw_lights,
             **{
@@ -501,7 +558,19 @@ def _describe(study: Study, scene: Scene) -> dict[str, Any]:
                 for name, value in attrs.asdict(scene.toggles).items()
             },
         },
+        "gains": _gains(study, scene),
         "skips": [attrs.asdict(step) for step in plan(scene, chosen, chain=CHAIN)],
+    }
+
+
+def _gains(study: Study, scene: Scene) -> dict[str, dict[str, float]]:
+    """Q of each specular variant on each glossy object, as if all light met this object (see `closed_forms.gain`)."""
+    glossy = [thing for thing in scene.objects if scene.specular_weight(thing.surface) > 0.0]
+    return {
+        variant.name: {
+            thing.name: closed_forms.gain(variant.limit(scene, 1), thing.surface) for thing in glossy
+        }
+        for variant in variants_of(study, scene, "specular")
     }
 
 

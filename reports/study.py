@@ -1,12 +1,13 @@
 """A study: which scenes, variants, resolutions, samples and replicates are measured. A preset is a study by name."""
 
 from pathlib import Path
+from typing import Literal
 
 import attrs
 
 from renderer.terms import VARIANTS, Variant, find
 from scenes import strict
-from scenes.model import in_range
+from scenes.model import in_range, unit_interval
 from scenes.strict import FileError
 from scenes.terms import Term
 
@@ -55,6 +56,25 @@ class Variants:
 
 
 @attrs.frozen(kw_only=True)
+class Exact:
+    """Scenes with a known answer (see `reports.exact`).
+
+    Attributes
+    ----------
+    roughness, f0, mu_o : the furnace's grid.
+    gloss, bounces : of the closed glossy sphere, seen after 1 .. `bounces` vertices.
+    samples : per pixel and replicate, of all variants.
+    """
+
+    roughness: tuple[float, ...] = attrs.field(validator=[_some, in_range(1e-4, 1.5)])
+    f0: tuple[float, ...] = attrs.field(validator=[_some, unit_interval])
+    mu_o: tuple[float, ...] = attrs.field(validator=[_some, in_range(0.0, 1.0, open_low=True)])
+    gloss: tuple[float, ...] = attrs.field(validator=[_some, unit_interval])
+    bounces: int = attrs.field(validator=in_range(1, 64))
+    samples: int = attrs.field(validator=_count)
+
+
+@attrs.frozen(kw_only=True)
 class Study:
     """What is measured, and how often.
 
@@ -70,6 +90,8 @@ class Study:
     samples : samples per pixel and replicate of a term, or of one variant as "term.variant"; powers of two keep
         low-discrepancy points well spread. DEFAULT_SAMPLES where nothing is said.
     variants : per term; the first is the one in `total`.
+    exact : scenes with a known answer to measure as well; None: none.
+    folder : of the results, below the output folder.
     """
 
     scenes: tuple[str, ...] = attrs.field(validator=_some)
@@ -82,6 +104,8 @@ class Study:
     photons: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     samples: dict[str, int] = attrs.field(factory=dict, validator=_samples)
     variants: Variants = Variants()
+    exact: Exact | None = None
+    folder: Literal["compare", "variants"] = "compare"
 
     def samples_of(self, variant: Variant) -> int:
         """Samples per pixel and replicate of a variant."""
