@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane; each compiles kernels and renders, so more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare test lint format clean distclean
+.PHONY: help install compare variants test lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -24,6 +24,10 @@ install: .venv/.installed ## Create .venv with everything in it
 
 compare: .venv/.installed ## Render, compare and report: SCENES="monkey two_cubes" PRESET=quick OUT=out
 	@.venv/bin/termwise compare $(SCENES) --study $(PRESET) --out $(OUT)
+
+# The study of a preset other than `standard` carries its name.
+variants: .venv/.installed ## Every estimator of the paper against what it converges to: PRESET=quick SCENES=monkey OUT=out
+	@.venv/bin/termwise compare $(SCENES) --study variants$(patsubst %,-%,$(filter-out standard,$(PRESET))) --out $(OUT)
 
 test: .venv/.installed ## Run the tests, then the unit tests again as plain Python
 	.venv/bin/python -m pytest -q -n $(JOBS)

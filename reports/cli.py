@@ -451,6 +451,7 @@ def _progress() -> Progress:
     )
 
 
+_PROVEN = ("BIASED", "NOT AS PREDICTED")
 _COLOURS = {"EQUIVALENT": "green", "AS PREDICTED": "green", "BIASED": "red", "NOT AS PREDICTED": "red"}
 
 
@@ -479,7 +480,12 @@ def _print_results(results: dict[str, Any]) -> None:
                 f"[{colour}]{row['verdict']}[/{colour}]",
             )
         _output.print(table)
-    for row in results["cells"]:
-        if row["verdict"] in ("BIASED", "NOT AS PREDICTED", "UNDERPOWERED"):
+    known = [row for row in judged if row.get("group")]
+    for group in dict.fromkeys(row["group"] for row in known):
+        words = [row["verdict"] for row in known if row["group"] == group]
+        counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+        _output.print(f"\n[bold]{group}[/bold], its answer known: {counts}", highlight=False)
+    for row in judged:
+        if row["verdict"] in _PROVEN or (row["verdict"] == "UNDERPOWERED" and not row.get("group")):
             where = f"{row['scene']}: {row['term']} {row['variant']}"
             _output.print(f"{where}: {row['sentence']}", highlight=False, soft_wrap=True)

@@ -196,6 +196,7 @@ def measure(
         "versions": versions(),
         "settings": {
             "study": name,
+            "page": study.folder,
             "digest": digest(study, scenes, chosen.variant),
             "seed": study.seed,
             "backend": chosen.variant,

@@ -40,7 +40,8 @@ _FIELDS = (
     "scene term variant kind scope against samples replicates reference_samples reference_replicates seconds "
     "reference_seconds compile_seconds rmse rmse_low rmse_high relmse ssim bias bias_low bias_high standard_error "
     "margin allowance tests family_low family_high rms_bias rms_bias_high place predicted_bias detectable_bias "
-    "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall"
+    "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall "
+    "group at gain"
 ).split()
 _LISTS = "channels", "objects", "warnings", "reasons"
 
@@ -78,7 +79,9 @@ def write(run: Path) -> Path:
     shown = {scene.name: scene.draw(run) for scene in scenes}
     _copy(run)
 
+    exact = _exact(rows)
     judged = [scene.row(*key, "own") for scene in scenes for key in scene.keys]
+    judged += [row for row in rows if row["group"] and row["against"] == "own"]
     common = {
         "results": results,
         "settings": results["settings"],
@@ -87,6 +90,7 @@ def write(run: Path) -> Path:
         "shown": shown,
         "rows": judged,
         "tally": _tally(judged),
+        "exact": exact,
         "words": WORDS,
         "terms": TERMS,
         "variants": VARIANTS,
@@ -104,7 +108,8 @@ def write(run: Path) -> Path:
         page = run / "scenes" / f"{scene.name}.html"
         _render(environment, "scene.html.j2", page, root="../", scene=scene, **common)
     index = run / "index.html"
-    _render(environment, "index.html.j2", index, root="", keys=_keys(scenes), **common)
+    front = "variants.html.j2" if results["settings"].get("page") == "variants" else "index.html.j2"
+    _render(environment, front, index, root="", keys=_keys(scenes), **common)
     return index
 
 
@@ -118,6 +123,7 @@ class _Scene:
             "exposure": None,
             "settings": {},
             "objects": [],
+            "gains": {},
             "skips": [],
             **described,
         }
@@ -221,6 +227,52 @@ class _Scene:
         return drawn
 
 
+class _Exact:
+    """The rows of one group of scenes with a known answer, by place and variant: (against own, against correct)."""
+
+    def __init__(self, title: str, rows: list[dict[str, Any]]) -> None:
+        self.title = title
+        self.variants = list(dict.fromkeys(row["variant"] for row in rows))
+        self.parameters = ", ".join(rows[0]["at"])
+        self.places: dict[str, dict[str, list[dict[str, Any]]]] = {}
+        self.gains: dict[float, dict[str, float]] = {}
+        for row in rows:  # own before correct, as a run writes them
+            place = ", ".join(f"{value:g}" for value in row["at"].values())
+            self.places.setdefault(place, {}).setdefault(row["variant"], []).append(row)
+            if row["gain"] is not None:
+                self.gains.setdefault(row["at"]["gloss"], {})[row["variant"]] = row["gain"]
+
+    @property
+    def size(self) -> int:
+        """Number of scenes."""
+        return len(self.places)
+
+
+def _exact(rows: list[dict[str, Any]]) -> dict[str, _Exact]:
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        if row["group"]:
+            groups.setdefault(row["group"], []).append(row)
+    return {name: _Exact(name, found) for name, found in groups.items()}
+
+
+def _address(row: dict[str, Any]) -> str:
+    """Where the pages show a row, from the front page."""
+    if row["group"]:
+        return f"#{_slug(row['group'])}"
+    return f"scenes/{quote(row['scene'])}.html#{_slug(row['term'] + ' ' + row['variant'])}"
+
+
+def _picture(scenes: list[_Scene], shown: dict[str, Any], term: str, variant: str) -> dict[str, Any] | None:
+    """A variant's picture and the right one, of the first scene that has the term."""
+    for scene in scenes:
+        row, drawn = scene.row(term, variant, "own"), shown[scene.name]
+        right = (term, scene.terms[term][0], "own") if term in scene.terms else None
+        if row and row["verdict"] != "ABSENT" and right in drawn and (term, variant, "own") in drawn:
+            return {"scene": scene.name, "its": drawn[term, variant, "own"], "right": drawn[right]}
+    return None
+
+
 def _order(term: str) -> int:
     return [*TERMS, TOTAL].index(term) if term in (*TERMS, TOTAL) else len(TERMS) + 1
 
@@ -287,6 +339,8 @@ def _environment() -> jinja2.Environment:
     environment.filters["equation"] = lambda latex: method.mathml(latex, block=True)
     environment.filters["slug"] = _slug
     environment.filters["word"] = _word
+    environment.filters["address"] = _address
+    environment.filters["picture"] = _picture
     environment.filters["breakable"] = lambda name: escape(name).replace("_", Markup("_<wbr>"))
     environment.filters["sentence"] = _sentence
     environment.globals["variant"] = method.find

@@ -424,11 +424,13 @@ def _larger(files: Path, name: str) -> str:
 
 def test_ctrl_c_is_one_line_and_the_same_command_goes_on(first: Finished, files: Path):
     kept, larger = files / "cache", _larger(files, "signal")
-    before = len(list(kept.rglob("*.np[yz]")))
+    before = len(list(kept.rglob("[!.]*.np[yz]")))
     process = _process(files, larger, "signal")
     deadline = time.monotonic() + 120
     while (
-        len(list(kept.rglob("*.np[yz]"))) == before and process.poll() is None and time.monotonic() < deadline
+        len(list(kept.rglob("[!.]*.np[yz]"))) == before
+        and process.poll() is None
+        and time.monotonic() < deadline
     ):
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
@@ -441,7 +443,7 @@ def test_ctrl_c_is_one_line_and_the_same_command_goes_on(first: Finished, files:
     )
     assert not (files / "signal" / "compare" / "results.json").exists()
     assert not [path for path in files.rglob(".*") if path.is_file()], "a temporary file was left"
-    there = {path: path.stat().st_mtime_ns for path in kept.rglob("*.np[yz]")}
+    there = {path: path.stat().st_mtime_ns for path in kept.rglob("[!.]*.np[yz]")}
     assert len(there) > before
     process = _process(files, larger, "signal")
     process.communicate(timeout=300)

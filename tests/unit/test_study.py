@@ -11,6 +11,15 @@ from scenes.load import library
 from scenes.strict import FileError
 from scenes.terms import TERMS
 
+EXACT = """
+[exact]
+roughness = [0.3]
+f0 = [0.04]
+mu_o = [1.0]
+gloss = [0.5]
+bounces = 2
+samples = 4
+"""
 VALID = 'scenes = ["monkey"]\nresolution = [8, 8]\n'
 
 
@@ -56,6 +65,11 @@ def test_a_study_by_path(tmp_path: Path):
         ("scenes = [", ["is not TOML"]),
         ("resolution = [8, 8]", ["scenes: is missing"]),
         ('scenes = ["monkey"]', ["resolution: is missing"]),
+        (VALID + 'folder = "here"', ["folder = 'here'", "'compare' or 'variants'"]),
+        (VALID + EXACT.replace("[0.3]", "[-0.3]"), ["exact", "roughness = (-0.3,)", "[0.0001, 1.5]"]),
+        (VALID + EXACT.replace("[1.0]", "[]"), ["exact", "mu_o = []", "at least one"]),
+        (VALID + EXACT.replace("bounces = 2", "bounces = 0"), ["exact", "bounces = 0", "[1, 64]"]),
+        (VALID + EXACT.replace("samples = 4", ""), ["exact.samples: is missing"]),
         (VALID + "replicate = 4", ["replicate = 4", "unknown key", "replicates"]),
         (VALID + "replicates = 3", ["replicates = 3", "[4, 4096]"]),
         (VALID + "reference_replicates = 0", ["reference_replicates = 0", "[4, 4096]"]),
