@@ -8,6 +8,7 @@ Photons are placed here by hand through `build`, so that the irradiance that the
 import math
 from concurrent.futures import ThreadPoolExecutor
 
+import attrs
 import numpy as np
 import pytest
 import trimesh
@@ -25,7 +26,7 @@ from renderer.rng import root
 from renderer.surface import Surface
 from renderer.vector import Vec3
 from scenes.analytic import closed_box, plate, unit_sphere
-from scenes.model import Camera, Mesh, Object, PointLight, Scene
+from scenes.model import Camera, Material, Mesh, Object, PointLight, Scene
 
 STACK = np.empty(STACK_SIZE, np.int32)
 UP = Vec3(0.0, 0.0, 1.0)
@@ -287,6 +288,64 @@ def test_photons_do_not_leak_to_another_object():
     assert estimate_irradiance(scene, photons, at((0.5, 0.4, 0.05), face=2, thing=1), STACK).x > 0
 
 
+def test_thin_walls_do_not_leak():
+    """Photons on the upper face of a plate 1e-3 thick, or inside a hollow box with such walls: none on the other side.
+
+    No test of the distance from the plane is needed: the faces of the other side are turned away, so neither their
+    photons nor their areas count.
+    """
+    rng = np.random.default_rng(12)
+    thin = trimesh.creation.box(extents=(1.0, 1.0, 1e-3))
+    inner, outer = trimesh.creation.box(extents=(1.0,) * 3), trimesh.creation.box(extents=(1.002,) * 3)
+    hollow = np.concatenate([inner.faces[:, ::-1], outer.faces + len(inner.vertices)])
+    for thing, lit, dark in (
+        (
+            Mesh.from_arrays(thin.vertices, thin.faces),
+            np.flatnonzero(thin.face_normals[:, 2] > 0.9),
+            range(12),
+        ),
+        (
+            Mesh.from_arrays(np.concatenate([inner.vertices, outer.vertices]), hollow),
+            np.arange(12),
+            range(12, 24),
+        ),
+    ):
+        scene = arrays(Object("thing", thing))
+        g = scene.geometry
+        face = rng.choice(lit, 2000).astype(np.int32)
+        position = np.einsum("pc,pcx->px", rng.dirichlet((1, 1, 1), len(face)), g.corners[face])
+        photons = build(position, g.normals[face], np.ones((len(face), 3)), face, 0.2)
+        for other in set(dark) - set(lit):
+            query = at(g.corners[other].mean(axis=0), g.normals[other], face=other)
+            assert estimate_irradiance(scene, photons, query, STACK) == (0.0, 0.0, 0.0)
+        here = at(g.corners[lit[0]].mean(axis=0), g.normals[lit[0]], face=int(lit[0]))
+        assert estimate_irradiance(scene, photons, here, STACK).x > 0
+
+
+@pytest.mark.parametrize("height", [0.02, 0.1, 0.15])
+def test_a_step_leaks_less_than_a_shadow_border_blurs(height, compiled):
+    """A dark tread below a lit one of the same object: at its foot less light than a border in one plane lets through.
+
+    Parallel faces within the radius are one surface, so light leaks down the step, in a strip of width r that shrinks
+    with it; what a border at the same distance on flat ground blurs across bounds it.
+    """
+    r, n = 0.2, 300 if compiled else 60
+    vertices = [[-1, 0, 0], [0, 0, 0], [0, 1, 0], [-1, 1, 0]]
+    vertices += [[0, 0, height], [1, 0, height], [1, 1, height], [0, 1, height]]
+    faces = [[0, 1, 2], [0, 2, 3], [1, 4, 7], [1, 7, 2], [4, 5, 6], [4, 6, 7]]
+    scene = arrays(Object("step", Mesh.from_arrays(vertices, faces)))
+    x = (np.arange(n) + 0.5) / n
+    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    position = np.column_stack([xy, np.full(len(xy), height)])
+    face = np.where(xy[:, 0] >= xy[:, 1], 4, 5).astype(np.int32)
+    photons = build(
+        position, np.tile([0.0, 0.0, 1.0], (len(xy), 1)), np.full((len(xy), 3), 1 / n**2), face, r
+    )
+    for a in (0.002, 0.05, 0.1):
+        found = estimate_irradiance(scene, photons, at((-a, 0.5, 0.0)), STACK).x
+        assert found < one_sided("simpson", -a, r)
+
+
 def test_no_photons_and_far_queries():
     """An empty map gives black; a query at 1e30, and one at 1e300, neither crash nor find anything."""
     scene = arrays(unit_plate())
@@ -374,19 +433,85 @@ def test_threads_change_no_bit(compiled):
         )
 
 
+def landed_flux(scene: Scene, compiled: bool, **options) -> tuple[float, float]:
+    """Mean over passes of the green flux of a map, and its standard error; all photons unless said otherwise."""
+    passes, count = (40, 500) if compiled else (8, 25)
+    options = {"first_hits": True} | options
+    flux = [emitted(scene, i, count, **options).power[:, 1].sum() for i in range(passes)]
+    return float(np.mean(flux)), float(np.std(flux, ddof=1) / np.sqrt(passes))
+
+
 @pytest.mark.parametrize("albedo", [0.2, 0.5, 0.9])
 def test_flux_in_a_closed_box(albedo, compiled):
     """4 pi I / (1 - rho) lands in all, 4 pi I rho / (1 - rho) without first hits: roulette with 1/p keeps the mean."""
-    passes, count = (40, 500) if compiled else (8, 25)
     scene = closed_box(albedo=albedo, intensity=2.0)
     for first_hits, expected in (
         (True, 8 * np.pi / (1 - albedo)),
         (False, 8 * np.pi * albedo / (1 - albedo)),
     ):
-        flux = [emitted(scene, i, count, first_hits=first_hits).power[:, 1].sum() for i in range(passes)]
-        error = np.std(flux, ddof=1) / np.sqrt(passes)
-        assert abs(np.mean(flux) - expected) < 4.5 * error
+        mean, error = landed_flux(scene, compiled, first_hits=first_hits)
+        assert abs(mean - expected) < 4.5 * error
         assert error < (0.05 if compiled else 0.3) * expected
+
+
+@pytest.mark.parametrize("survival", [0.2, 0.5, 0.9, 1.0])
+def test_survival_leaves_the_mean_of_weighted_photons(survival, compiled):
+    """Albedo .4: 4 pi I / (1 - .4) lands whatever P; 1 is cut to 0.99, so that photons end."""
+    mean, error = landed_flux(closed_box(albedo=0.4), compiled, survival=survival)
+    expected = 4 * np.pi / 0.6
+    assert abs(mean - expected) < 4.5 * error
+    assert error < (0.05 if compiled else 0.3) * expected
+
+
+@pytest.mark.parametrize("survival", [0.2, 0.5, 0.9])
+def test_unweighted_photons_scatter_with_the_survival_probability(survival, compiled):
+    """Colours (.4, .6, .1) of which none matters: each channel lands 4 pi I / (1 - P), its own albedo never."""
+    scene = closed_box()
+    box = attrs.evolve(scene.objects[0], material=Material((0.4, 0.6, 0.1)))
+    scene = attrs.evolve(scene, objects=(box,))
+    mean, error = landed_flux(scene, compiled, survival=survival, weighted=False)
+    assert abs(mean - 4 * np.pi / (1 - survival)) < 4.5 * error
+    assert error < (0.05 if compiled else 0.3) * mean
+    power = emitted(scene, 0, 200, first_hits=True, survival=survival, weighted=False).power
+    assert np.ptp(power) < 1e-12 * power.max()
+    # None given: P is the largest channel, .6.
+    mean, error = landed_flux(scene, compiled, weighted=False)
+    assert abs(mean - 4 * np.pi / 0.4) < 4.5 * error
+
+
+@pytest.mark.parametrize("survival", [0.0, 0.5, 0.9])
+def test_flux_of_fully_scattered_photons(survival, compiled):
+    """Walls of diffuse albedo rho (1 - g) and a lobe g F that is a mirror of F = 1: 4 pi I / (1 - rho (1 - g) - g).
+
+    At alpha = 1e-4 and F0 = 1 the lobe loses 1e-4 of the light, which G1 takes. Diffuse photons alone: no g.
+    """
+    scene = closed_box(albedo=0.5)
+    material = Material((0.5, 0.5, 0.5), gloss=0.6, roughness=1e-4, f0=(1.0, 1.0, 1.0))
+    scene = attrs.evolve(scene, objects=(attrs.evolve(scene.objects[0], material=material),))
+    mean, error = landed_flux(scene, compiled, survival=survival, full=True)
+    expected = 4 * np.pi / (1 - 0.5 * 0.4 - 0.6)
+    assert abs(mean - expected) < 4.5 * error + 1e-3 * expected
+    assert error < (0.1 if compiled else 0.4) * expected
+    mean, error = landed_flux(scene, compiled, survival=survival)
+    assert abs(mean - 4 * np.pi / 0.8) < 4.5 * error
+
+
+def test_photons_are_kept_where_they_are_seen():
+    """A mirror (gloss 1) has no diffuse weight and keeps none; by full scattering what it throws lands elsewhere."""
+    floor = unit_plate()
+    mirror = attrs.evolve(
+        plate("mirror", (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
+        material=Material(gloss=1.0, roughness=0.1, f0=(1.0, 1.0, 1.0)),
+    )
+    scene = Scene(
+        "mirror",
+        Camera((0.0, -3.0, 1.0), (0.0, 0.0, 0.0)),
+        (floor, mirror),
+        lights=(PointLight((0.5, 0.5, 0.5), (1.0, 1.0, 1.0)),),
+    )
+    assert set(emitted(scene, 0, 300, first_hits=True, full=True).face) <= {0, 1}
+    assert len(emitted(scene, 0, 300, first_hits=False, full=True).face) > 0
+    assert len(emitted(scene, 0, 300, first_hits=False).face) == 0
 
 
 def test_flux_of_lights_of_unequal_power(compiled):
