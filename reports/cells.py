@@ -55,7 +55,10 @@ class Cell:
 
 def key(scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain) -> str:
     """sha256 of all that decides a replicate's bits but its number."""
-    content = scene.digest(without=("name", "exposure", *_IRRELEVANT[variant.term]))
+    irrelevant = _IRRELEVANT[variant.term]
+    if scene.shadows == "paper":  # then lights decide on the ambient term as well
+        irrelevant = tuple(field for field in irrelevant if field != "lights")
+    content = scene.digest(without=("name", "exposure", *irrelevant))
     versions = [importlib.metadata.version(package) for package in ("numba", "numpy")]
     sources = sources_digest(PROJECT / "renderer", PROJECT / "scenes")
     used = chain if variant.term == "specular" else ""

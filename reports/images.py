@@ -80,6 +80,8 @@ def limit_name(limit: Limit) -> str:
         words.append(f"{limit.cosine} cosine")
     if limit.rings is not None:
         words.append(f"{limit.rings} rings")
+    if limit.shadows != "physical":
+        words.append(f"{limit.shadows} shadows")
     if limit.scope:
         words.append(limit.scope)
     if limit.kernel is not None:

@@ -274,15 +274,19 @@ def _rows(
     fallback = sum(luminance(references.images[limit]) for limit in correct.values()) or 1.0
     rows: list[_Row] = []
 
-    def statistics(ours: np.ndarray, reference: np.ndarray) -> Statistics:
-        return verdict.measure(ours, reference, objects=objects, object_names=names, scale=fallback)
+    def statistics(ours: np.ndarray, reference: np.ndarray, what: str = TOTAL) -> Statistics:
+        try:
+            return verdict.measure(ours, reference, objects=objects, object_names=names, scale=fallback)
+        except ValueError as error:
+            raise ValueError(f"{scene.name}: {what}: {error}") from None
 
     for cell in measured:
         variant = cell.variant
         term = variant.term
         own = cell.limit(scene)
         reference = references.images[own]
-        at_own = statistics(cell.images[:, -1], reference)
+        what = f"{term} {variant.name}"
+        at_own = statistics(cell.images[:, -1], reference, what)
         kernel = variant.kernel_based(scene)
         errors = [mean_square_error(cell.images[:, p], reference) for p in range(len(cell.samples))]
         curve = None
@@ -317,7 +321,7 @@ def _rows(
                     margin=verdict.margin_of(variant.kind, own_mean, correct_mean),
                     judged=last and variant.judged,
                     predicted_bias=0.0 if variant.judged else None,
-                    reason=skipped(scene, term) or "",
+                    reason=skipped(scene, term) or "the camera sees nothing of it",
                 )
             )
         ratio = variant.ratio(scene)
@@ -336,7 +340,7 @@ def _rows(
                     scene,
                     statistics=at_own
                     if limit == own
-                    else statistics(cell.images[:, -1], references.images[limit]),
+                    else statistics(cell.images[:, -1], references.images[limit], what),
                     samples=cell.samples[-1],
                     seconds=float(cell.seconds[:, -1].sum()),
                     source=references.described(limit),

@@ -15,7 +15,7 @@ from renderer.lights import light_irradiance
 from renderer.photon_map import MAX_SURVIVAL, PhotonMap, estimate_irradiance, nearest_irradiance
 from renderer.rng import fold
 from renderer.sobol import Sampler, sample_1d, sample_2d
-from renderer.surface import Surface, trace
+from renderer.surface import Surface, shadowed, trace
 from renderer.terms.variant import Variant
 from renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, scale, to_world, vec3
 from renderer.warp import INV_PI, square_to_cosine_hemisphere
@@ -85,7 +85,7 @@ def _next_event(
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
                 surface, sampler = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0:
+                if surface.face >= 0 and not shadowed(scene, surface, stack):
                     accumulate(out, x, y, direct_next_event(scene, photons, surface, sampler, stack))
 
 
@@ -96,7 +96,7 @@ def _path(scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile,
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
                 surface, sampler = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0:
+                if surface.face >= 0 and not shadowed(scene, surface, stack):
                     accumulate(out, x, y, direct_path(scene, surface, sampler, stack))
 
 
@@ -118,7 +118,7 @@ def _paper(
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
                 surface, sampler = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0:
+                if surface.face >= 0 and not shadowed(scene, surface, stack):
                     weight = vec3(scene.materials.diffuse, surface.object)
                     if not is_black(weight):
                         irradiance = nearest_irradiance(photons, surface, nearest, heap, chosen)
@@ -126,7 +126,7 @@ def _paper(
 
 
 def _limit(scene: Scene, samples: int) -> Limit:
-    return Limit("direct", scope=scene.scope)
+    return Limit("direct", scope=scene.scope, shadows=scene.shadows)
 
 
 VARIANTS = (
@@ -149,7 +149,7 @@ VARIANTS = (
         name="path",
         term="direct",
         driver=_path,
-        limit=lambda scene, samples: Limit("direct", scope="all"),
+        limit=lambda scene, samples: Limit("direct", scope="all", shadows=scene.shadows),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \sum_j \beta_j \frac{L_e \cos\theta \cos\theta'}{d^2\, p}",
         converges_to=r"E_{\text{all}} / \pi",
@@ -159,7 +159,7 @@ VARIANTS = (
         name="paper",
         term="direct",
         driver=_paper,
-        limit=lambda scene, samples: Limit("direct", scope="all"),
+        limit=lambda scene, samples: Limit("direct", scope="all", shadows=scene.shadows),
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
         converges_to=r"\frac{k}{k-1} E_{\text{all}} / \pi,\ \text{blurred over } r_k",
