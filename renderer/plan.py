@@ -55,8 +55,26 @@ def skipped(scene: Scene, term: Term) -> str | None:
     )
 
 
+def check(scene: Scene, variant: Variant) -> None:
+    """Refuse an option that the variant would ignore.
+
+    Raises
+    ------
+    ValueError
+        The message names the field, its value and what is allowed.
+    """
+    scattering = scene.photons.scattering
+    if scattering == "full" and scene.shadows == "paper":
+        raise ValueError("photons.scattering = 'full': allowed is 'diffuse' with shadows = 'paper'")
+    if scattering not in variant.scatterings:
+        allowed = " or ".join(map(repr, variant.scatterings))
+        raise ValueError(
+            f"photons.scattering = {scattering!r}: allowed is {allowed} for {variant.term} {variant.name}"
+        )
+
+
 def needs_photons(scene: Scene, variant: Variant, chain: Chain) -> Stored | None:
-    """Which photons the maps of a variant hold: "scattered" or "all"; None where no map is needed."""
+    """Which photons the maps of a variant hold; None where no map is needed."""
     return variant.photons(scene, chain) if skipped(scene, "direct") is None else None
 
 

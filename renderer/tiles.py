@@ -11,12 +11,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from renderer import photon_map
+from renderer import photon_map, photon_tracing
 from renderer.arrays import SceneArrays, from_scene
 from renderer.film import GeometryImages, Tile, trace_centres
 from renderer.geometry.bvh import STACK_SIZE
 from renderer.jit import warm
-from renderer.plan import needs_photons, skipped
+from renderer.plan import check, needs_photons, skipped
 from renderer.rng import root
 from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
@@ -84,6 +84,7 @@ class Engine:
         """
         if samples < 1:
             raise ValueError(f"samples = {samples}: allowed is at least 1")
+        check(self.scene, variant)
         width, height = self.scene.resolution
         out = np.zeros((height, width, 3))
         if skipped(self.scene, variant.term) is not None:
@@ -100,7 +101,7 @@ class Engine:
             # A photon map serves one sample: each pass has its own radius.
             for first in range(done, count) if stored else (done,):
                 if stored:
-                    photons = self._photons(stored, key, first, count=self.scene.photons.count)
+                    photons = self._photons(variant, stored, key, first, count=self.scene.photons.count)
                 last = first + 1 if stored else count
                 inputs = variant.inputs(self.scene, chain, photons)
                 self._run(variant, inputs, key, first, last, out, cancel)
@@ -148,19 +149,30 @@ class Engine:
     ) -> None:
         """Compile before the clock starts."""
         start = time.perf_counter()
-        photons = self._photons(stored, key, 0, count=1) if stored else photon_map.empty()
+        photons = self._photons(variant, stored, key, 0, count=1) if stored else photon_map.empty()
         inputs = variant.inputs(self.scene, chain, photons)
         warm(variant.driver, self.arrays, *inputs, key, 0, 1, self.tiles[0], out)
         self.compile_seconds += time.perf_counter() - start
 
-    def _photons(self, stored: Stored, key: np.uint64, index: int, *, count: int) -> photon_map.PhotonMap:
+    def _photons(
+        self, variant: Variant, stored: Stored, key: np.uint64, index: int, *, count: int
+    ) -> photon_map.PhotonMap:
         """The map of pass `index`."""
-        return photon_map.emit(
+        photons = self.scene.photons
+        rule = photon_tracing.Scattering(
+            survival=photons.survival or 0.0,
+            weighted=stored != "unweighted",
+            # The operator of a specular chain means diffuse scattering.
+            full=photons.scattering == "full" and variant.term == "direct",
+        )
+        return photon_tracing.emit(
             self.arrays,
             key,
             index,
             count=count,
-            radius=photon_map.progressive_radius(self.scene.photons.radius, index),
-            first_hits=stored == "all",
+            radius=photon_map.progressive_radius(photons.radius, index),
+            shape=photons.kernel,
+            rule=rule,
+            first_hits=stored != "scattered",
             pool=self.pool,
         )

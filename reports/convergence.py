@@ -3,6 +3,9 @@
 An unbiased mean of N independent samples has a = 1 and b = 0. Prefixes of one run share samples, so the
 errors of a least-squares fit mean nothing: the whole fit is repeated without each replicate (delete-one
 jackknife over the replicates of both sides).
+
+Kernel estimates are biased at any N; `E(r) = E(0) + c r²` inside a surface, and means over an image have the same law
+in the strips along edges and shadow borders, r wide and O(r) wrong. `extrapolate` takes r to 0.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +22,8 @@ STILL_FALLING = 0.8
 """A last prefix with less of the error before it is on no plateau; independent samples have 0.5."""
 PREFIXES_NEEDED = 4
 """One more than the parameters."""
+RADII_NEEDED = 3
+"""One more than the parameters of `E(0) + c r²`."""
 
 
 @attrs.frozen(eq=False)
@@ -109,9 +114,7 @@ def fit(
         raise ValueError(f"samples are {samples.tolist()}; they must be positive and increase")
     if seconds is not None and len(seconds) != len(samples):
         raise ValueError(f"{len(samples)} prefixes, but seconds of {len(seconds)}")
-    groups = {tuple(len(each) for each in error.leave_one_out) for error in errors}
-    if len(groups) > 1:
-        raise ValueError(f"prefixes of different replicates: {sorted(groups)}")
+    _same_replicates(errors, "prefixes")
 
     values = np.array([error.value for error in errors])
     weights = 1 / np.maximum(np.abs(values), 1e-12 * (np.abs(values).max() or 1.0))
@@ -191,3 +194,46 @@ def _cause(slope: Estimate | None, floor: Estimate, bias_squared: Estimate | Non
 
 def _interval(slope: Estimate) -> str:
     return f"a = {slope.value:.2f} [{slope.low(0.05):.2f}, {slope.high(0.05):.2f}]"
+
+
+def extrapolate(radii: Sequence[float] | np.ndarray, estimates: Sequence[Estimate]) -> Estimate:
+    """E(0) of `E(r) = E(0) + c r²` by least squares on r²: the kernel's bias of O(r²) cancels, O(r⁴) is left.
+
+    A fixed linear combination of the estimates, so its mean and its jackknife are those of the combined replicates,
+    whether the estimates share photons or not.
+
+    Parameters
+    ----------
+    radii : (P,), distinct
+        Kernel radii; P ≥ 3. A progressive estimate stands at the root of its mean r_i² (the bias is linear in r²).
+    estimates : P estimates
+        Of one quantity at each radius, over the same replicates in the same order.
+
+    Raises
+    ------
+    ValueError
+        For fewer than 3 radii, radii that are not positive and distinct, or estimates of different replicates.
+    """
+    radii = np.asarray(radii, dtype=np.float64)
+    if len(radii) < RADII_NEEDED or len(radii) != len(estimates):
+        raise ValueError(
+            f"{len(radii)} radii and {len(estimates)} estimates; as many and ≥ {RADII_NEEDED} needed"
+        )
+    if np.any(radii <= 0) or len(np.unique(radii)) < len(radii):
+        raise ValueError(f"radii are {radii.tolist()}; they must be positive and distinct")
+    _same_replicates(estimates, "radii")
+    square = (radii / radii.max()) ** 2
+    weights = np.linalg.pinv(np.stack([np.ones_like(square), square], axis=1))[0]
+    groups = zip(*(estimate.leave_one_out for estimate in estimates), strict=True)
+    return Estimate(
+        float(weights @ [estimate.value for estimate in estimates]),
+        tuple(weights @ np.stack(group) for group in groups),
+        # Float error is no noise: that of the radii may add up.
+        float(np.abs(weights) @ [estimate.floor for estimate in estimates]),
+    )
+
+
+def _same_replicates(estimates: Sequence[Estimate], what: str) -> None:
+    groups = {tuple(len(each) for each in estimate.leave_one_out) for estimate in estimates}
+    if len(groups) > 1:
+        raise ValueError(f"{what} of different replicates: {sorted(groups)}")

@@ -260,12 +260,21 @@ class Photons:
     radius : kernel radius of the first pass.
     nearest : k of the paper's search.
     kernel : the kernel of a radius; all three are named in `scenes.limits.Kernel`.
+    survival : probability that a photon survives the roulette at any surface that is not black, of which at most 0.99
+        is used; None: the largest channel of what it would carry on.
+    scattering : on what the photons of the direct term scatter: "diffuse", the diffuse part alone, or "full", the
+        specular lobe too, so that the term holds the light that glossy surfaces throw (caustics). The chain of the
+        specular term keeps "diffuse", which its integral means.
     """
 
     count: int = attrs.field(default=50_000, validator=_count)
     radius: float = attrs.field(default=0.05, validator=positive)
     nearest: int = attrs.field(default=50, validator=in_range(2, 2**31 - 1))
     kernel: Literal["simpson", "epanechnikov", "uniform"] = "simpson"
+    survival: float | None = attrs.field(
+        default=None, validator=attrs.validators.optional(in_range(0.0, 1.0, open_low=True))
+    )
+    scattering: Literal["diffuse", "full"] = "diffuse"
 
 
 @attrs.frozen

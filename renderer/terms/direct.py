@@ -4,6 +4,9 @@ Photons after roulette estimate the total irradiance `E_all`: light that arrives
 diffusely with albedo color (1 - gloss), any number of times. `first-hit` means the straight part alone.
 """
 
+from collections.abc import Callable
+from typing import Literal
+
 import numpy as np
 
 from renderer.arrays import SceneArrays
@@ -12,14 +15,17 @@ from renderer.geometry.bvh import STACK_SIZE
 from renderer.geometry.intersect import make_ray
 from renderer.jit import device, kernel
 from renderer.lights import light_irradiance
-from renderer.photon_map import MAX_SURVIVAL, PhotonMap, estimate_irradiance, nearest_irradiance
+from renderer.photon_map import PhotonMap, estimate_irradiance
+from renderer.photon_search import nearest_irradiance
+from renderer.photon_tracing import MAX_SURVIVAL
 from renderer.rng import fold
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, shadowed, trace
 from renderer.terms.variant import Variant
 from renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, scale, to_world, vec3
 from renderer.warp import INV_PI, square_to_cosine_hemisphere
-from scenes.limits import Limit
+from scenes import limits
+from scenes.limits import Kernel, Limit
 from scenes.model import Scene
 
 LIGHT = 2  # the pairs 2 and 3 place a sample on a light
@@ -101,10 +107,33 @@ def _path(scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile,
 
 
 @kernel
-def _paper(
+def _photon_map(
+    scene: SceneArrays,
+    photons: PhotonMap,
+    key: np.uint64,
+    first: int,
+    last: int,
+    tile: Tile,
+    out: np.ndarray,
+) -> None:
+    stack = np.empty(STACK_SIZE, np.int32)
+    for y in range(tile.y0, tile.y1):
+        for x in range(tile.x0, tile.x1):
+            for index in range(first, last):
+                surface, _ = first_surface(scene, key, x, y, index, stack)
+                if surface.face >= 0 and not shadowed(scene, surface, stack):
+                    weight = vec3(scene.materials.diffuse, surface.object)
+                    if not is_black(weight):
+                        irradiance = estimate_irradiance(scene, photons, surface, stack)
+                        accumulate(out, x, y, scale(mul(weight, irradiance), INV_PI))
+
+
+@kernel
+def _nearest(
     scene: SceneArrays,
     photons: PhotonMap,
     nearest: int,
+    factor: float,
     key: np.uint64,
     first: int,
     last: int,
@@ -117,33 +146,96 @@ def _paper(
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, stack)
+                surface, _ = first_surface(scene, key, x, y, index, stack)
                 if surface.face >= 0 and not shadowed(scene, surface, stack):
                     weight = vec3(scene.materials.diffuse, surface.object)
                     if not is_black(weight):
                         irradiance = nearest_irradiance(photons, surface, nearest, heap, chosen)
-                        accumulate(out, x, y, scale(mul(weight, irradiance), INV_PI))
+                        accumulate(out, x, y, scale(mul(weight, irradiance), factor * INV_PI))
 
 
 def _limit(scene: Scene, samples: int) -> Limit:
-    return Limit("direct", scope=scene.scope, shadows=scene.shadows)
+    """E_all; with photons that scatter on the full BSDF, all light that the diffuse lobe reflects."""
+    if scene.photons.scattering == "full":
+        return limits.physical("direct")
+    return Limit("direct", scope="all", shadows=scene.shadows)
 
+
+def _of_radius(scene: Scene, samples: int, stored: Literal["scattered", "all"]) -> Kernel:
+    photons = scene.photons
+    return Kernel(shape=photons.kernel, stored=stored, radius=photons.radius, passes=samples)
+
+
+def _of_nearest(*, unbiased: bool = False, weighted: bool = True) -> Callable[[Scene, int], Kernel]:
+    """The mean over maps, and over the sub-pixel positions of the camera's rays, of a search for k photons."""
+
+    def estimate(scene: Scene, samples: int) -> Kernel:
+        k = scene.photons.nearest
+        factor = (k - 1) / k if unbiased else 1.0
+        return Kernel(
+            shape="nearest", nearest=k, photons=scene.photons.count, scale=factor, weighted=weighted
+        )
+
+    return estimate
+
+
+_NEEDS_TWIN = "its own limit, a kernel estimate at finite k, needs Mitsuba-traced photons"
 
 VARIANTS = (
     Variant(
         name="next-event",
         term="direct",
         driver=_next_event,
-        limit=_limit,
+        limit=lambda scene, samples: (
+            _limit(scene, samples)
+            if scene.scope == "all"
+            else Limit("direct", scope="first-hit", shadows=scene.shadows)
+        ),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \Big[ \frac{L_e \cos\theta \cos\theta'}{d^2\, p}"
-        r" + \frac{1}{\pi} \sum_p \Phi_p K_r(x_p - x) \Big]",
+        r" + \frac{1}{\pi} \sum_p \Phi_p K_r(x_p - x) / M_r \Big]",
         converges_to=r"E / \pi \;\; (r \to 0;\ \text{exact for first-hit})",
         source="light sampling for the first hit; progressive photon mapping (Knaus, Zwicker, TOG 2011) for the rest",
         inputs=lambda scene, chain, photons: (photons,),
         photons=lambda scene, chain: "scattered" if scene.scope == "all" else None,
-        kernel_based=lambda scene: scene.scope == "all",
+        kernel=lambda scene, samples: (
+            _of_radius(scene, samples, "scattered") if scene.scope == "all" else None
+        ),
         allowance=0.01,
+    ),
+    Variant(
+        name="photon-map",
+        term="direct",
+        driver=_photon_map,
+        limit=_limit,
+        kind="right",
+        equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \sum_p \Phi_p K_{r_k}(x_p - x) / M_{r_k}",
+        converges_to=r"E_{\text{all}} / \pi \;\; (r \to 0)",
+        source="progressive photon mapping of all photons (Knaus, Zwicker, TOG 2011)",
+        inputs=lambda scene, chain, photons: (photons,),
+        photons=lambda scene, chain: "all",
+        kernel=lambda scene, samples: _of_radius(scene, samples, "all"),
+        allowance=0.01,
+    ),
+    Variant(
+        name="nearest",
+        term="direct",
+        driver=_nearest,
+        limit=_limit,
+        kind="right",
+        equation=r"\frac{1}{N} \sum_k \frac{k - 1}{k} \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
+        converges_to=r"E_{\text{all}} / \pi,\ \text{blurred over } r_k",
+        source="k nearest photons without the factor k / (k - 1) (Garcia, Ureña, Sbert, CGF 2012)",
+        inputs=lambda scene, chain, photons: (
+            photons,
+            scene.photons.nearest,
+            (scene.photons.nearest - 1) / scene.photons.nearest,
+        ),
+        photons=lambda scene, chain: "all",
+        kernel=_of_nearest(unbiased=True),
+        allowance=0.01,
+        judged=False,
+        why_not=_NEEDS_TWIN,
     ),
     Variant(
         name="path",
@@ -154,21 +246,39 @@ VARIANTS = (
         equation=r"\frac{1}{N} \sum_k \sum_j \beta_j \frac{L_e \cos\theta \cos\theta'}{d^2\, p}",
         converges_to=r"E_{\text{all}} / \pi",
         source="path tracing with light sampling at every vertex; roulette with 1/p (Arvo, Kirk, 1990)",
+        scatterings=("diffuse",),
     ),
     Variant(
         name="paper",
         term="direct",
-        driver=_paper,
-        limit=lambda scene, samples: Limit("direct", scope="all", shadows=scene.shadows),
+        driver=_nearest,
+        limit=_limit,
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
         converges_to=r"\frac{k}{k-1} E_{\text{all}} / \pi,\ \text{blurred over } r_k",
         source="the paper's photon map: all photons after roulette, the k nearest",
-        inputs=lambda scene, chain, photons: (photons, scene.photons.nearest),
+        inputs=lambda scene, chain, photons: (photons, scene.photons.nearest, 1.0),
         photons=lambda scene, chain: "all",
-        kernel_based=lambda scene: True,
+        kernel=_of_nearest(),
         allowance=0.01,
         judged=False,
-        why_not="its own limit, a kernel estimate at finite k, needs Mitsuba-traced photons",
+        why_not=_NEEDS_TWIN,
+    ),
+    Variant(
+        name="paper-unweighted",
+        term="direct",
+        driver=_nearest,
+        limit=_limit,
+        kind="wrong",
+        equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
+        converges_to=r"\frac{k}{k-1} E / \pi \text{ with the grey albedo } P \text{ of the roulette for } \rho",
+        source="the paper's photon map read without division by the survival probability",
+        inputs=lambda scene, chain, photons: (photons, scene.photons.nearest, 1.0),
+        photons=lambda scene, chain: "unweighted",
+        kernel=_of_nearest(weighted=False),
+        scatterings=("diffuse",),
+        allowance=0.01,
+        judged=False,
+        why_not=_NEEDS_TWIN,
     ),
 )

@@ -6,15 +6,16 @@ from typing import Any, Literal
 import attrs
 
 from renderer.photon_map import PhotonMap
-from scenes.limits import Limit
+from scenes.limits import Kernel, Limit
 from scenes.model import Scene
 from scenes.terms import Term
 
 # Which direct estimator the vertices of a specular chain use: the product's default, or the unbiased one that a study
 # of specular variants uses, so that kernel bias cannot leak into its verdict.
 Chain = Literal["next-event", "path"]
-# Photons kept in a map: those that were scattered at least once, or all.
-Stored = Literal["scattered", "all"]
+# Photons kept in a map: those that were scattered at least once, or all; or all, those that survive the roulette being
+# left as they were.
+Stored = Literal["scattered", "all", "unweighted"]
 
 
 @attrs.frozen
@@ -35,7 +36,9 @@ class Variant:
     converges_to : its limit, as LaTeX.
     source : where it comes from.
     photons : (scene, chain) -> which photons its maps hold: None for no map at all.
-    kernel_based : scene -> whether its bias vanishes only as the kernel radius goes to 0.
+    kernel : (scene, samples) -> Kernel, the photon density estimate that stands in its place of E, whose bias vanishes
+        only as the kernel shrinks; None where E is estimated without bias.
+    scatterings : values of `scene.photons.scattering` that it can follow.
     allowance : share of bias that is granted to a kernel-based variant, printed beside every verdict.
     ratio : scene -> predicted own / correct where that is one number for the whole image, else None.
     judged : whether a verdict is due; `why_not` says why where it is not.
@@ -51,8 +54,13 @@ class Variant:
     source: str
     inputs: Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]] = lambda scene, chain, photons: ()
     photons: Callable[[Scene, Chain], Stored | None] = lambda scene, chain: None
-    kernel_based: Callable[[Scene], bool] = lambda scene: False
+    kernel: Callable[[Scene, int], Kernel | None] = lambda scene, samples: None
+    scatterings: tuple[Literal["diffuse", "full"], ...] = ("diffuse", "full")
     allowance: float = 0.0
     ratio: Callable[[Scene], float | None] = lambda scene: None
     judged: bool = True
     why_not: str = ""
+
+    def kernel_based(self, scene: Scene) -> bool:
+        """Whether its bias vanishes only as a photon kernel shrinks."""
+        return self.kernel(scene, 1) is not None

@@ -22,6 +22,7 @@ from scenes.analytic import (
     rectangle_light,
     unit_sphere,
 )
+from scenes.limits import Kernel
 from scenes.load import library, load
 from scenes.model import Ambient, Camera, Photons, PointLight, Scene, Sky, Toggles
 from scenes.terms import TERMS, Term
@@ -138,7 +139,7 @@ def test_unit_sphere_first_hit(compiled):
     np.testing.assert_allclose(image[..., 0], expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("variant", ["path", "next-event"])
+@pytest.mark.parametrize("variant", ["path", "next-event", "photon-map"])
 def test_unit_sphere_all_bounces(variant, compiled):
     """1.0 for albedo .5 and I = pi: E_all lies between the extremes of E_dir over the facets, divided by 1 - rho.
 
@@ -158,10 +159,67 @@ def test_unit_sphere_all_bounces(variant, compiled):
         scene, "direct", 12 if compiled else 6, variant=variant, samples=16 if compiled else 4
     )
     error = values.std(ddof=1) / math.sqrt(len(values))
-    # The kernel's own bias, r² ΔE / 16 and what a curved surface adds, is below (r / R)² / 8 of the scattered half.
-    kernel = 0.2**2 / 8 if variant == "next-event" else 0.0
+    # The kernel's own bias, r² ΔE / 16 and what a curved surface adds, is below (r / R)² / 4 of the light in the map:
+    # the scattered half, or all.
+    kernel = {"path": 0.0, "next-event": 0.2**2 / 8, "photon-map": 0.2**2 / 4}[variant]
     assert low - kernel - 4.5 * error < values.mean() < high + kernel + 4.5 * error
     assert error < (0.01 if compiled else 0.2)
+
+
+def test_nearest_is_the_paper_s_estimate_times_k_minus_one_over_k(compiled):
+    """The same photons, hence the same images to the last bits but for the factor."""
+    scene = small(unit_sphere(), compiled, 6)
+    paper, nearest = (render(scene, "direct", variant=name, samples=2).mean for name in ("paper", "nearest"))
+    k = scene.photons.nearest
+    np.testing.assert_allclose(nearest, paper * (k - 1) / k, rtol=1e-13)
+    assert paper.any()
+
+
+def test_unweighted_photons_brighten_a_closed_sphere(compiled):
+    """Albedo .5 and survival P = .8: rho / (1 - P) = 2.5 in place of rho / (1 - rho) = 1, both times k / (k - 1).
+
+    E in a sphere is that of first hits over 1 minus the albedo that scatters it; the ratio is free of facets and of k.
+    """
+    scene = small(unit_sphere(), compiled, 8)
+    scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, survival=0.8))
+    count, samples = (12, 4) if compiled else (6, 2)
+    plain, bright = (
+        replicate_means(scene, "direct", count, variant=name, samples=samples)
+        for name in ("paper", "paper-unweighted")
+    )
+    ratio = bright.mean() / plain.mean()
+    spread = np.hypot(bright.std(ddof=1) / bright.mean(), plain.std(ddof=1) / plain.mean())
+    error = ratio * spread / math.sqrt(count)
+    assert abs(ratio - 2.5) < 4.5 * error
+    assert error < (0.05 if compiled else 0.5)
+
+
+@pytest.mark.parametrize("variant", ["path", "paper-unweighted"])
+def test_full_scattering_is_refused_where_it_would_be_ignored(variant):
+    scene = attrs.evolve(unit_sphere(), photons=Photons(scattering="full"))
+    with pytest.raises(ValueError, match="allowed") as caught:
+        render(scene, "direct", variant=variant)
+    assert str(caught.value) == (f"photons.scattering = 'full': allowed is 'diffuse' for direct {variant}")
+
+
+def test_kernels_that_rows_name():
+    """What a twin needs of each row: shape, photons kept, radius and passes, k and scale; None where E is exact."""
+    photons = Photons(count=7, radius=0.3, nearest=5, kernel="uniform")
+    scene = attrs.evolve(unit_sphere(), photons=photons)
+    rows = {name: variant.kernel(scene, 4) for name, variant in VARIANTS["direct"].items()}
+    radius = Kernel("uniform", radius=0.3, passes=4)
+    search = Kernel("nearest", nearest=5, photons=7)
+    assert rows == {
+        "next-event": attrs.evolve(radius, stored="scattered"),
+        "photon-map": radius,
+        "nearest": attrs.evolve(search, scale=4 / 5),
+        "path": None,
+        "paper": search,
+        "paper-unweighted": attrs.evolve(search, weighted=False),
+    }
+    first_hit = attrs.evolve(scene, scope="first-hit")
+    assert not VARIANTS["direct"]["next-event"].kernel_based(first_hit)
+    assert VARIANTS["direct"]["next-event"].kernel_based(scene)
 
 
 def test_rectangle_light(compiled):

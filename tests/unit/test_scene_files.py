@@ -54,6 +54,20 @@ BAD = {
     "text for a number": (GOOD + 'gloss = "0.5"\n', ["gloss = '0.5'", "a number"]),
     "true for a number": (GOOD + "gloss = true\n", ["gloss = True", "a number"]),
     "number for a switch": (GOOD + "[toggles]\nlighting = 1\n", ["toggles.lighting = 1", "true or false"]),
+    "no survival": (
+        GOOD + "[photons]\nsurvival = 0.0\n",
+        ["photons", "survival = 0.0", "a number in (0, 1]"],
+    ),
+    "survival beyond 1": (GOOD + "[photons]\nsurvival = 1.5\n", ["survival = 1.5", "a number in (0, 1]"]),
+    "unknown kernel": (
+        GOOD + '[photons]\nkernel = "cone"\n',
+        ["photons.kernel = 'cone'", "'simpson' or 'epanechnikov' or 'uniform'"],
+    ),
+    "unknown scattering": (
+        GOOD + '[photons]\nscattering = "all"\n',
+        ["photons.scattering = 'all'", "'diffuse' or 'full'"],
+    ),
+    "survival as a word": (GOOD + '[photons]\nsurvival = "0.5"\n', ["photons.survival = '0.5'", "a number"]),
     "float for a count": (GOOD + "[photons]\ncount = 2.5\n", ["photons.count = 2.5", "an integer"]),
     "no photons": (GOOD + "[photons]\ncount = 0\n", ["photons", "count = 0", "[1, "]),
     "radius 0": (GOOD + "[photons]\nradius = 0.0\n", ["photons", "radius = 0.0", "(0, inf)"]),

@@ -7,7 +7,7 @@ shows that it sends to the right one. Set-up: K = 16 runs of 256 samples of 64 p
 import numpy as np
 import pytest
 
-from reports.convergence import fit, mean_square_error
+from reports.convergence import extrapolate, fit, mean_square_error
 from reports.verdict import Estimate, gram
 
 SAMPLES = 2 ** np.arange(9)
@@ -115,3 +115,51 @@ def test_mean_square_error_is_freed_of_the_reference_noise():
 def test_bad_prefixes_are_refused(samples, errors, message):
     with pytest.raises(ValueError, match=message):
         fit(samples, errors)
+
+
+def jackknifed(values: np.ndarray) -> Estimate:
+    """The mean of replicates (K,) and the means without each."""
+    return Estimate(float(values.mean()), ((values.sum() - values) / (len(values) - 1),))
+
+
+def test_extrapolation_is_the_line_s_intercept():
+    """Values on `3 + 2 r²`: exactly 3; off the line: NumPy's polyfit, and its jackknife that of each replicate."""
+    radii = np.array([0.1, 0.2, 0.25, 0.4])
+    assert extrapolate(radii, exact(3 + 2 * radii**2)).value == pytest.approx(3, rel=1e-12)
+    rng = np.random.default_rng(24)
+    values = rng.normal(size=(4, 9))
+    found = extrapolate(radii, [jackknifed(each) for each in values])
+    single = np.polynomial.polynomial.polyfit(radii**2, values, 1)[0]
+    assert found.value == pytest.approx(single.mean(), rel=1e-10)
+    # A linear combination of means: the jackknife is the standard error of the mean.
+    assert found.standard_error == pytest.approx(single.std(ddof=1) / 3, rel=1e-10)
+
+
+def test_extrapolation_covers_the_truth():
+    """E = 1 + r², noise growing as 1/r and shared by the radii: the 90 % interval covers 1 as often."""
+    rng = np.random.default_rng(25)
+    radii = np.array([0.1, 0.15, 0.2, 0.3])
+    covered = 0
+    for _ in range(200):
+        noise = (rng.normal(size=(4, 16)) + rng.normal(size=16)) * 0.02 / radii[:, None]
+        found = extrapolate(
+            radii, [jackknifed(1 + r * r + each) for r, each in zip(radii, noise, strict=True)]
+        )
+        covered += found.low(0.05) <= 1 <= found.high(0.05)
+    # Three standard deviations of the binomial around 180.
+    assert abs(covered - 180) <= 3 * np.sqrt(200 * 0.9 * 0.1)
+
+
+@pytest.mark.parametrize(
+    ("radii", "estimates", "message"),
+    [
+        ([0.1, 0.2], exact(np.ones(2)), "≥ 3"),
+        ([0.1, 0.2, 0.3], exact(np.ones(4)), "3 radii and 4 estimates"),
+        ([0.1, 0.2, 0.2], exact(np.ones(3)), "positive and distinct"),
+        ([0.0, 0.1, 0.2], exact(np.ones(3)), "positive and distinct"),
+        ([0.1, 0.2, 0.3], [*exact(np.ones(2)), Estimate(1.0, (np.ones(9),))], "different replicates"),
+    ],
+)
+def test_bad_radii_are_refused(radii, estimates, message):
+    with pytest.raises(ValueError, match=message):
+        extrapolate(radii, estimates)

@@ -1,0 +1,218 @@
+"""Photon tracing: flux from the lights, deposited where it lands, `Phi_{j+1} = Phi_j f cos(theta) / (p P)`.
+
+A photon starts with `4 pi I` (point light) or `pi A L` (face) over the probability of the pick and goes on by Russian
+roulette of probability P. Diffuse scattering has the weight `f cos(theta) / p = albedo = color (1 - gloss)`; with full
+scattering the Cook-Torrance lobe is picked besides, in proportion to its gloss, and sampled by visible normals.
+
+Weighted photons carry the mean flux of light transport for any P. Unweighted ones keep the flux that they had, which
+scatters light with the grey albedo P: `rho / (1 - rho)` becomes `P / (1 - P)` (paper).
+Jensen, "Global Illumination using Photon Maps", EGWR 1996; Arvo, Kirk, "Particle Transport and Image Synthesis",
+SIGGRAPH 1990.
+"""
+
+import math
+from concurrent.futures import Executor
+from typing import NamedTuple
+
+import numpy as np
+
+from renderer.arrays import SceneArrays
+from renderer.geometry.bvh import STACK_SIZE
+from renderer.geometry.intersect import make_ray
+from renderer.jit import device, kernel
+from renderer.lights import pick
+from renderer.microfacet import sample_lobe
+from renderer.photon_map import PhotonMap, build
+from renderer.rng import fold, stream
+from renderer.sobol import Sampler, sample_1d, sample_2d
+from renderer.surface import Surface, point_on_face, trace
+from renderer.vector import (
+    Vec3,
+    dot,
+    entry,
+    frame,
+    is_black,
+    max_component,
+    mul,
+    scale,
+    to_local,
+    to_world,
+    vec3,
+)
+from renderer.warp import square_to_cosine_hemisphere, square_to_triangle, square_to_uniform_sphere
+
+# Below 1, so that a path in a closed box of albedo 1 ends; 1 / P keeps the mean.
+MAX_SURVIVAL = 0.99
+_CHUNK = 4096
+_STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pixel
+_VERTEX = 16  # keys of a photon's vertices: beyond the pairs of its emission
+_ROULETTE, _DIRECTION, _LOBE = 0, 1, 2
+
+
+class Scattering(NamedTuple):
+    """How photons go on.
+
+    Attributes
+    ----------
+    survival : P, at most MAX_SURVIVAL of it; 0: the largest channel of what the photon would carry on.
+    weighted : whether survivors are multiplied by weight / P.
+    full : whether they scatter on the specular lobe too.
+    """
+
+    survival: float
+    weighted: bool
+    full: bool
+
+
+@device
+def _emit(scene: SceneArrays, sampler: Sampler) -> tuple[Vec3, Vec3, Vec3, int]:
+    """Origin, direction, power and face (-1: a point light) of a photon, one of one."""
+    emitters = scene.emitters
+    index, probability = pick(emitters, sample_1d(sampler, 0))
+    points = len(emitters.point)
+    if index < points:
+        u, v = sample_2d(sampler, 2)
+        power = scale(vec3(emitters.intensity, index), 4.0 * math.pi / probability)
+        return vec3(emitters.point, index), square_to_uniform_sphere(u, v), power, -1
+    face = entry(emitters.face, index - points)
+    u, v = sample_2d(sampler, 1)
+    b1, b2 = square_to_triangle(u, v)
+    origin = point_on_face(scene.geometry, face, b1, b2)
+    u, v = sample_2d(sampler, 2)
+    local = square_to_cosine_hemisphere(u, v)
+    direction = to_world(frame(vec3(scene.geometry.normals, face)), local)
+    radiance = vec3(scene.materials.emission, scene.geometry.object[face])
+    return origin, direction, scale(radiance, math.pi * emitters.area[index - points] / probability), face
+
+
+@device
+def _shading_ratio(scene: SceneArrays, surface: Surface, wi: Vec3, wo: Vec3) -> float:
+    """Correction of a scattered photon for shading normals: light and importance see different cosines.
+
+    Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, equation 5.19.
+    """
+    if not scene.geometry.smooth[surface.face]:
+        return 1.0
+    geometric = vec3(scene.geometry.normals, surface.face)
+    down = abs(dot(wi, geometric)) * abs(dot(wo, surface.normal))
+    return abs(dot(wi, surface.normal)) * abs(dot(wo, geometric)) / down if down > 0.0 else 0.0
+
+
+@device
+def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sampler) -> tuple[Vec3, Vec3]:
+    """Direction of a photon that goes on and the factor on its flux; a black factor where it is absorbed."""
+    black = Vec3(0.0, 0.0, 0.0)
+    weight = vec3(scene.materials.diffuse, surface.object)
+    diffuse = max_component(weight)
+    gloss = scene.materials.specular[surface.object] if rule.full else 0.0
+    if diffuse + gloss == 0.0:
+        return black, black
+    share = diffuse / (diffuse + gloss)
+    local = frame(surface.normal)
+    u, v = sample_2d(sampler, _DIRECTION)
+    if gloss == 0.0 or sample_1d(sampler, _LOBE) < share:
+        weight = scale(weight, 1.0 / share)
+        wi = square_to_cosine_hemisphere(u, v)
+    else:
+        f0 = vec3(scene.materials.f0, surface.object)
+        alpha = scene.materials.alpha[surface.object]
+        # The BRDF is reciprocal: the photon's w_i is sampled as a view's would be.
+        wi, weight = sample_lobe(to_local(local, surface.wo), alpha, f0, u, v)
+        weight = scale(weight, gloss / (1.0 - share))
+    survival = min(MAX_SURVIVAL, rule.survival if rule.survival > 0.0 else max_component(weight))
+    if sample_1d(sampler, _ROULETTE) >= survival:
+        return black, black
+    heading = to_world(local, wi)
+    factor = scale(weight, 1.0 / survival) if rule.weighted else Vec3(1.0, 1.0, 1.0)
+    return heading, scale(factor, _shading_ratio(scene, surface, surface.wo, heading))
+
+
+@kernel
+def _trace_photons(
+    scene: SceneArrays,
+    rule: Scattering,
+    first_hits: bool,
+    key: np.uint64,
+    first: int,
+    last: int,
+    position: np.ndarray,
+    direction: np.ndarray,
+    power: np.ndarray,
+    face: np.ndarray,
+) -> int:
+    """Trace photons [first, last); returns how many land, also where the arrays are too short to hold all.
+
+    A photon is deposited wherever the surface has a diffuse weight, however it came there.
+    """
+    stack = np.empty(STACK_SIZE, np.int32)
+    landed = 0
+    for index in range(first, last):
+        origin, heading, flux, origin_face = _emit(scene, Sampler(key, np.uint32(index)))
+        depth = 0
+        while not is_black(flux):
+            surface = trace(scene, make_ray(origin, heading), origin_face, stack)
+            if surface.face < 0:
+                break
+            if (depth > 0 or first_hits) and not is_black(vec3(scene.materials.diffuse, surface.object)):
+                if landed < len(face):
+                    position[landed, 0] = surface.point.x
+                    position[landed, 1] = surface.point.y
+                    position[landed, 2] = surface.point.z
+                    direction[landed, 0] = surface.wo.x
+                    direction[landed, 1] = surface.wo.y
+                    direction[landed, 2] = surface.wo.z
+                    power[landed, 0] = flux.x
+                    power[landed, 1] = flux.y
+                    power[landed, 2] = flux.z
+                    face[landed] = surface.face
+                landed += 1
+            depth += 1
+            branch = Sampler(fold(key, _VERTEX + depth), np.uint32(index))
+            heading, factor = _scatter(scene, rule, surface, branch)
+            flux = mul(flux, factor)
+            origin = surface.point
+            origin_face = surface.face
+    return landed
+
+
+def emit(
+    scene: SceneArrays,
+    key: np.uint64,
+    index: int,
+    *,
+    count: int,
+    radius: float,
+    shape: str,
+    rule: Scattering,
+    first_hits: bool,
+    pool: Executor,
+) -> PhotonMap:
+    """Trace pass `index` of a replicate and build its map.
+
+    Parameters
+    ----------
+    key : the replicate's root key.
+    count : photons emitted.
+    radius, shape : of the kernel of this pass, see `photon_map.build`.
+    rule : how photons go on.
+    first_hits : whether photons that come straight from a light are stored.
+    pool : the chunks run here; their order, hence the map, does not depend on the number of threads.
+    """
+    photons_key = stream(stream(key, _STREAM), index)
+
+    def chunk(first: int) -> tuple[np.ndarray, ...]:
+        last = min(first + _CHUNK, count)
+        capacity = 4 * (last - first)
+        while True:
+            position, direction, power = np.empty((3, capacity, 3))
+            face = np.empty(capacity, np.int32)
+            landed = _trace_photons(
+                scene, rule, first_hits, photons_key, first, last, position, direction, power, face
+            )
+            if landed <= capacity:
+                return position[:landed], direction[:landed], power[:landed], face[:landed]
+            capacity = landed
+
+    chunks = list(pool.map(chunk, range(0, count, _CHUNK)))
+    position, direction, power, face = (np.concatenate(parts) for parts in zip(*chunks, strict=True))
+    return build(position, direction, power / count, face, radius, shape)
