@@ -67,6 +67,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
     if scene.sky.texture is not None:
         np.save(folder / "sky.npy", scene.sky.texture)
     return {
+        "scale": canonical.scale,
         "camera": _camera(scene, canonical),
         "ambient": {
             "color": list(scene.ambient.color),
