@@ -6,7 +6,7 @@ means: photons leave Mitsuba's emitters (`sample_ray`), fly by `ray_intersect`, 
 `P = min(0.99, largest channel of the albedo)`; a survivor is scattered with cosine density.
 """
 
-# pyright: reportArgumentType=false, reportOperatorIssue=false
+# pyright: reportArgumentType=false, reportOperatorIssue=false, reportCallIssue=false
 # Mitsuba's stubs do not know the types of the variant in use.
 
 from typing import Any, NamedTuple
@@ -50,9 +50,11 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
     Raises
     ------
     ValueError
-        The scope is not "all", or a mesh has interpolated normals.
+        The scope is not "all", the shadow rule is the paper's, or a mesh has interpolated normals.
     """
     kernel, description = limit["kernel"], loaded.description
+    if limit["shadows"] != "physical":
+        raise ValueError(f"shadows = {limit['shadows']!r} with a photon kernel: allowed is 'physical'")
     if limit["scope"] != "all":
         raise ValueError(f"scope = {limit['scope']!r} with a photon kernel: allowed is 'all'")
     for name, shape in description["scenes"]["direct"].items():

@@ -316,9 +316,9 @@ def test_thin_walls_do_not_leak():
         position = np.einsum("pc,pcx->px", rng.dirichlet((1, 1, 1), len(face)), g.corners[face])
         photons = build(position, g.normals[face], np.ones((len(face), 3)), face, 0.2)
         for other in set(dark) - set(lit):
-            query = at(g.corners[other].mean(axis=0), g.normals[other], face=other)
+            query = at(g.corners[other].mean(axis=0), Vec3(*g.normals[other].tolist()), face=other)
             assert estimate_irradiance(scene, photons, query, STACK) == (0.0, 0.0, 0.0)
-        here = at(g.corners[lit[0]].mean(axis=0), g.normals[lit[0]], face=int(lit[0]))
+        here = at(g.corners[lit[0]].mean(axis=0), Vec3(*g.normals[lit[0]].tolist()), face=int(lit[0]))
         assert estimate_irradiance(scene, photons, here, STACK).x > 0
 
 
