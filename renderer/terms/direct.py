@@ -179,7 +179,7 @@ def _of_nearest(*, unbiased: bool = False, weighted: bool = True) -> Callable[[S
     return estimate
 
 
-_NEEDS_TWIN = "its own limit, a kernel estimate at finite k, needs Mitsuba-traced photons"
+_NEEDS_TWIN = "only against its twin: its own limit is an estimate with k photons"
 
 VARIANTS = (
     Variant(
