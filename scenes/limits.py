@@ -27,8 +27,10 @@ class Kernel:
     """A photon density estimate: its expectation over independent maps is what is meant, its own bias included.
 
     `E(x) = sum_p Phi_p K(|x_p - x|) / M(x)` for a kernel of a radius, averaged over the `passes` radii of Knaus and
-    Zwicker (2011), `r²_{i+1} = r²_i (i + 2/3) / (i + 1)`; `M` is the kernel's mass on the surface. For "nearest"
-    `E(x) = scale * sum of the k nearest / (pi r_k²)`, without M.
+    Zwicker (2011), `r²_{i+1} = r²_i (i + 2/3) / (i + 1)`. The sum is over photons, and the kernel's mass `M` over
+    areas, of the surface of x: the faces of x's object whose normals have a cosine > 0.1 with that of x's face and
+    whose planes pass within 0.1 r_i of x, seen from the side of x. For "nearest"
+    `E(x) = scale * sum of the k nearest / (pi r_k²)`, without M, over all photons in front of x.
 
     Attributes
     ----------

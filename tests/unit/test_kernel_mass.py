@@ -12,7 +12,7 @@ from scipy import integrate
 
 from renderer.arrays import SceneArrays, from_scene
 from renderer.geometry.bvh import STACK_SIZE
-from renderer.kernel_mass import EXPONENTS, MIN_NORMAL_COSINE, face_mass, kernel_mass
+from renderer.kernel_mass import EXPONENTS, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, face_mass, kernel_mass
 from renderer.vector import Vec3
 from scenes.analytic import plate, sphere_inside
 from scenes.model import Camera, Material, Mesh, Object, Scene
@@ -187,7 +187,10 @@ def test_a_face_is_the_sum_of_its_parts(shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_of_many_faces_by_monte_carlo(shape):
-    """A tessellated sphere: the sum over faces whose normals lie within acos(0.1) against uniform points, 4.5 sigma."""
+    """A tessellated sphere: the sum over the faces that count at x against uniform points on them, 4.5 sigma.
+
+    Their normals lie within acos(0.1) of that of x and their planes within r / 10 of x.
+    """
     scene = arrays(sphere_inside("sphere", subdivisions=2, material=Material()))
     g = scene.geometry
     rng = np.random.default_rng(5)
@@ -200,6 +203,9 @@ def test_of_many_faces_by_monte_carlo(shape):
         x = g.corners[query].mean(axis=0)
         r = 0.9
         counted = g.normals[face] @ g.normals[query] > MIN_NORMAL_COSINE
+        near = np.abs(np.einsum("px,px->p", points - x, g.normals[face])) < MAX_PLANE_DISTANCE * r
+        assert 0 < (counted & near).sum() < counted.sum()
+        counted &= near
         value = area.sum() * np.where(counted, profile(shape, ((points - x) ** 2).sum(axis=1), r), 0.0)
         error = value.std() / np.sqrt(len(value))
         found = kernel_mass(scene, query, vec(x), r, EXPONENTS[shape], STACK)

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from renderer import photon_map
 from renderer.arrays import SceneArrays, from_scene
 from renderer.geometry.bvh import STACK_SIZE
-from renderer.kernel_mass import EXPONENTS, MIN_NORMAL_COSINE, kernel_mass
+from renderer.kernel_mass import EXPONENTS, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, kernel_mass
 from renderer.photon_map import build, empty, estimate_irradiance, progressive_radius
 from renderer.photon_search import nearest_irradiance
 from renderer.photon_tracing import Scattering, emit
@@ -119,7 +119,7 @@ def random_query(scene: SceneArrays, rng: np.random.Generator) -> Surface:
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("radius", [0.02, 0.15, 3.0])
 def test_gather_against_kdtree(crowd, radius, shape, compiled):
-    """The same sum with KDTree's neighbours: the kernel, same object, normals within acos(0.1), same side.
+    """The same sum with KDTree's neighbours: same object and side, normals within acos(0.1), x near the face's plane.
 
     Both divide by `kernel_mass`, which has tests of its own; the sums agree to 1e-12.
     """
@@ -139,6 +139,7 @@ def test_gather_against_kdtree(crowd, radius, shape, compiled):
             normal = g.normals[face[p]]
             cos = direction[p] @ normal
             same = g.object[face[p]] == query.object and normal @ g.normals[query.face] > MIN_NORMAL_COSINE
+            same &= abs((position[p] - query.point) @ normal) < MAX_PLANE_DISTANCE * radius
             if same and cos * query.side > 0:
                 weight = profile(shape, np.sum((position[p] - query.point) ** 2), radius)
                 if g.smooth[face[p]]:
@@ -217,8 +218,8 @@ def test_constant_irradiance_is_unbiased_up_to_edges_and_corners(shape, compiled
 def test_quadratic_irradiance_is_biased_by_the_law(shape, compiled):
     """E = 1 + 3 x² + 2 y², Laplacian 10: the estimate is E + coefficient r² ΔE, a quarter of the kernel's mean d².
 
-    Photons on a regular grid stand for E without noise; the sum over the grid of spacing h is the integral to O(h / r)
-    where the kernel jumps at its rim (uniform), to 1e-5 where it does not.
+    Photons on a regular grid stand for E without noise: the sum over it is the integral to 1e-5 where the kernel is
+    continuous. A disc of R cells holds pi R² points to about 2 R^(2/3) (Gauss's circle problem), for the uniform one.
     """
     n = 400 if compiled else 120
     x = (np.arange(n) + 0.5) / n
@@ -228,11 +229,10 @@ def test_quadratic_irradiance_is_biased_by_the_law(shape, compiled):
     for r in (0.2, 0.3) if compiled else (0.3,):
         photons = on_plate(xy, power, r, shape)
         for qx, qy in ((0.5, 0.4), (0.4, 0.61)):
-            found = estimate_irradiance(scene, photons, at((qx, qy, 0.0)), STACK).x
-            bias = found - (1 + 3 * qx**2 + 2 * qy**2)
-            rim = 1.5 / (n * r) if shape == "uniform" else 0.0
-            law = COEFFICIENTS[shape] * r * r * 10
-            assert bias == pytest.approx(law, rel=0.01, abs=3e-4 + rim * law)
+            exact = 1 + 3 * qx**2 + 2 * qy**2
+            bias = estimate_irradiance(scene, photons, at((qx, qy, 0.0)), STACK).x - exact
+            rim = 2 * exact * (n * r) ** (2 / 3) / (np.pi * (n * r) ** 2) if shape == "uniform" else 0.0
+            assert bias == pytest.approx(COEFFICIENTS[shape] * r * r * 10, rel=0.01, abs=3e-4 + rim)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -291,8 +291,7 @@ def test_photons_do_not_leak_to_another_object():
 def test_thin_walls_do_not_leak():
     """Photons on the upper face of a plate 1e-3 thick, or inside a hollow box with such walls: none on the other side.
 
-    No test of the distance from the plane is needed: the faces of the other side are turned away, so neither their
-    photons nor their areas count.
+    The faces of the other side are turned away, so neither their photons nor their areas count.
     """
     rng = np.random.default_rng(12)
     thin = trimesh.creation.box(extents=(1.0, 1.0, 1e-3))
@@ -316,18 +315,17 @@ def test_thin_walls_do_not_leak():
         position = np.einsum("pc,pcx->px", rng.dirichlet((1, 1, 1), len(face)), g.corners[face])
         photons = build(position, g.normals[face], np.ones((len(face), 3)), face, 0.2)
         for other in set(dark) - set(lit):
-            query = at(g.corners[other].mean(axis=0), Vec3(*g.normals[other].tolist()), face=other)
+            query = at(g.corners[other].mean(axis=0), vec(g.normals[other]), face=other)
             assert estimate_irradiance(scene, photons, query, STACK) == (0.0, 0.0, 0.0)
-        here = at(g.corners[lit[0]].mean(axis=0), Vec3(*g.normals[lit[0]].tolist()), face=int(lit[0]))
+        here = at(g.corners[lit[0]].mean(axis=0), vec(g.normals[lit[0]]), face=int(lit[0]))
         assert estimate_irradiance(scene, photons, here, STACK).x > 0
 
 
-@pytest.mark.parametrize("height", [0.02, 0.1, 0.15])
-def test_a_step_leaks_less_than_a_shadow_border_blurs(height, compiled):
-    """A dark tread below a lit one of the same object: at its foot less light than a border in one plane lets through.
+@pytest.mark.parametrize("height", [0.01, 0.019, 0.021, 0.15])
+def test_light_does_not_leak_down_a_step(height, compiled):
+    """A dark tread below a lit one of the same object: black where the step is higher than r / 10.
 
-    Parallel faces within the radius are one surface, so light leaks down the step, in a strip of width r that shrinks
-    with it; what a border at the same distance on flat ground blurs across bounds it.
+    At the foot of a lower one there is less light than a shadow border on flat ground would let through.
     """
     r, n = 0.2, 300 if compiled else 60
     vertices = [[-1, 0, 0], [0, 0, 0], [0, 1, 0], [-1, 1, 0]]
@@ -343,7 +341,10 @@ def test_a_step_leaks_less_than_a_shadow_border_blurs(height, compiled):
     )
     for a in (0.002, 0.05, 0.1):
         found = estimate_irradiance(scene, photons, at((-a, 0.5, 0.0)), STACK).x
-        assert found < one_sided("simpson", -a, r)
+        if height > MAX_PLANE_DISTANCE * r:
+            assert found == 0
+        else:
+            assert 0 < found < one_sided("simpson", -a, r)
 
 
 def test_no_photons_and_far_queries():
@@ -435,7 +436,7 @@ def test_threads_change_no_bit(compiled):
 
 def landed_flux(scene: Scene, compiled: bool, **options) -> tuple[float, float]:
     """Mean over passes of the green flux of a map, and its standard error; all photons unless said otherwise."""
-    passes, count = (40, 500) if compiled else (8, 25)
+    passes, count = (40, 500) if compiled else (20, 10)
     options = {"first_hits": True} | options
     flux = [emitted(scene, i, count, **options).power[:, 1].sum() for i in range(passes)]
     return float(np.mean(flux)), float(np.std(flux, ddof=1) / np.sqrt(passes))
@@ -479,7 +480,7 @@ def test_unweighted_photons_scatter_with_the_survival_probability(survival, comp
     assert abs(mean - 4 * np.pi / 0.4) < 4.5 * error
 
 
-@pytest.mark.parametrize("survival", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("survival", [0.0, 0.8, 0.95])
 def test_flux_of_fully_scattered_photons(survival, compiled):
     """Walls of diffuse albedo rho (1 - g) and a lobe g F that is a mirror of F = 1: 4 pi I / (1 - rho (1 - g) - g).
 
