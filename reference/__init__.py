@@ -107,10 +107,10 @@ def shared(scene: Scene, limit: Limit) -> Limit:
     if limit.transport == "physical":
         return Limit(term, transport="physical")
     if term == "ambient":
-        return Limit(term, occluded=limit.occluded, rings=limit.rings)
+        return Limit(term, occluded=limit.occluded, rings=limit.rings, shadows=limit.shadows)
     scope = limit.scope or scene.scope
     if term == "direct":
-        return Limit(term, scope=scope, kernel=limit.kernel)
+        return Limit(term, scope=scope, kernel=limit.kernel, shadows=limit.shadows)
     return attrs.evolve(limit, scope=scope, factor=1.0, kernel=None)
 
 
@@ -125,7 +125,7 @@ def loaded(scene: Scene) -> Any:
 
     Only one is kept, because every material that exists is compiled into every kernel.
     """
-    content = scene.digest(without=("name", "exposure", "photons", "scope", "rings"))
+    content = scene.digest(without=("name", "exposure", "photons", "scope", "rings", "shadows"))
     if content not in _loaded:
         from reference.backend import import_mitsuba
 

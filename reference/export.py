@@ -19,7 +19,17 @@ from scenes.limits import Limit
 from scenes.model import Scene
 from scenes.store import PROJECT
 
-SOURCES = ("wavefront.py", "prepare.py", "film.py", "bsdf.py", "sky.py", "physical.py", "terms")
+SOURCES = (
+    "wavefront.py",
+    "prepare.py",
+    "film.py",
+    "twin.py",
+    "density.py",
+    "bsdf.py",
+    "sky.py",
+    "physical.py",
+    "terms",
+)
 
 SCRIPT = '''\
 """Render the references that references.json lists: one float32 NPY file (H, W, 3) per replicate.

@@ -28,7 +28,12 @@ def serves(loaded: Any, limit: dict[str, Any]) -> bool:
         return False
     if limit["term"] == "ambient":
         return ambient.built_in(loaded, limit)
-    if limit["term"] == "direct" and limit["kernel"] is None and description["has_lights"]:
+    if (
+        limit["term"] == "direct"
+        and limit["kernel"] is None
+        and limit["shadows"] == "physical"
+        and description["has_lights"]
+    ):
         # The film would show a light's surface, or with hidden emitters what is behind it; ours is black.
         return not any(shape.is_emitter() for shape in loaded.scenes["direct"].shapes())
     return False

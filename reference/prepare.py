@@ -7,7 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from . import bsdf, film, physical, sky
+from . import bsdf, film, physical, sky, twin
 from .terms import ambient, background, direct, specular
 from .wavefront import Estimator, pixel_means
 
@@ -56,7 +56,9 @@ class Loaded:
         return _ESTIMATORS[limit["term"]](self, limit)
 
     def render(self, limit: dict[str, Any], *, spp: int, seed: int) -> np.ndarray:
-        """Mean images of a limit's parts, (P, H, W, 3) float64; see `wavefront.pixel_means`."""
+        """Mean images of a limit's parts, (P, H, W, 3) float64; see `wavefront.pixel_means`, with a kernel `twin`."""
+        if limit["kernel"] is not None:
+            return twin.render(self, limit, spp=spp, seed=seed)
         if film.serves(self, limit):
             return film.render(self, limit, spp=spp, seed=seed)
         return pixel_means(self.estimator(limit), self.description["camera"], spp=spp, seed=seed)

@@ -24,7 +24,7 @@ from scenes.model import Scene
 from scenes.store import PROJECT, sources_digest, write_atomically
 from scenes.terms import Term
 
-_ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope", "rings")
+_ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope", "rings", "shadows")
 _IRRELEVANT: dict[Term, tuple[str, ...]] = {
     "ambient": ("lights", "sky", "max_bounces", "draw_lights"),
     "direct": ("ambient", "sky", "max_bounces", "draw_lights"),
@@ -137,6 +137,8 @@ def key(scene: Scene, limit: Limit, *, spp: int, seed: int) -> str:
         irrelevant = ("ambient", "max_bounces", "draw_lights")
     else:
         irrelevant = _IRRELEVANT[limit.term]
+        if limit.shadows == "paper":  # then lights decide on the ambient term as well
+            irrelevant = tuple(field for field in irrelevant if field != "lights")
     versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit")]
     sources = sources_digest(PROJECT / "reference", PROJECT / "scenes")
     content = scene.digest(without=_ALWAYS_IRRELEVANT + irrelevant)
@@ -167,7 +169,7 @@ def _read(path: Path, resolution: tuple[int, int]) -> tuple[np.ndarray, float] |
         if record["sha256"] != _digest(path):
             return None
         image = np.load(path)
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError):
         return None
     return (image, record["seconds"]) if image.shape == (*resolution[::-1], 3) else None
 

@@ -40,6 +40,7 @@ class Materials(NamedTuple):
 
     Attributes
     ----------
+    color : (O, 3).
     diffuse : (O, 3), color (1 - gloss).
     specular : (O,), gloss.
     alpha : (O,), Beckmann roughness.
@@ -47,6 +48,7 @@ class Materials(NamedTuple):
     emission : (O, 3), radiance of the front side.
     """
 
+    color: np.ndarray
     diffuse: np.ndarray
     specular: np.ndarray
     alpha: np.ndarray
@@ -71,6 +73,13 @@ class Emitters(NamedTuple):
     face: np.ndarray
     area: np.ndarray
     cdf: np.ndarray
+
+
+class ShadowRule(NamedTuple):
+    """The paper's: centres (L, 3) of the lights, and each one's object (L,) int32, -1 for a point. Empty without it."""
+
+    centre: np.ndarray
+    object: np.ndarray
 
 
 class SkyArrays(NamedTuple):
@@ -106,6 +115,7 @@ class SceneArrays(NamedTuple):
     geometry: Geometry
     materials: Materials
     emitters: Emitters
+    shadow_rule: ShadowRule
     sky: SkyArrays
     camera: CameraArrays
     ambient: Vec3
@@ -122,6 +132,7 @@ def from_scene(scene: Scene) -> SceneArrays:
         geometry,
         _materials(scene),
         _emitters(scene, geometry),
+        _shadow_rule(scene),
         _sky(scene),
         _camera(scene.camera, scene.resolution),
         Vec3(*scene.ambient.color),
@@ -161,6 +172,7 @@ def _materials(scene: Scene) -> Materials:
     surfaces = [thing.surface for thing in scene.objects]
     lit = scene.toggles.lighting
     return Materials(
+        np.array([surface.color for surface in surfaces]).reshape(-1, 3),
         np.array([scene.diffuse_weight(surface) for surface in surfaces]).reshape(-1, 3),
         np.array([scene.specular_weight(surface) for surface in surfaces]).reshape(-1),
         np.array([surface.roughness for surface in surfaces]).reshape(-1),
@@ -188,6 +200,14 @@ def _emitters(scene: Scene, geometry: Geometry) -> Emitters:
         cdf[-1] = 1.0
     position = np.array([light.position for light in points]).reshape(-1, 3)
     return Emitters(position, intensity, faces, area, cdf)
+
+
+def _shadow_rule(scene: Scene) -> ShadowRule:
+    centres = scene.light_centres if scene.shadows == "paper" else []
+    return ShadowRule(
+        np.array([centre for centre, _ in centres]).reshape(-1, 3),
+        np.array([thing for _, thing in centres], np.int32),
+    )
 
 
 def _sky(scene: Scene) -> SkyArrays:

@@ -64,6 +64,8 @@ def check(scene: Scene, variant: Variant) -> None:
         The message names the field, its value and what is allowed.
     """
     scattering = scene.photons.scattering
+    if scattering == "full" and scene.shadows == "paper":
+        raise ValueError("photons.scattering = 'full': allowed is 'diffuse' with shadows = 'paper'")
     if scattering not in variant.scatterings:
         allowed = " or ".join(map(repr, variant.scatterings))
         raise ValueError(

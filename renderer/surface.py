@@ -13,7 +13,7 @@ from renderer.arrays import Geometry, SceneArrays
 from renderer.geometry.intersect import Hit, Ray, make_ray
 from renderer.geometry.traverse import any_hit, closest_hit
 from renderer.jit import device
-from renderer.vector import Vec3, dot, entry, negate, normalize, vec3
+from renderer.vector import Vec3, dot, entry, negate, normalize, sub, vec3
 
 
 class Surface(NamedTuple):
@@ -72,6 +72,27 @@ def trace(scene: SceneArrays, ray: Ray, ignore: int, stack: np.ndarray) -> Surfa
     side = 1.0 if dot(vec3(geometry.normals, hit.face), wo) >= 0.0 else -1.0
     point = point_on_face(geometry, hit.face, hit.b1, hit.b2)
     return Surface(point, normal, wo, hit.face, entry(geometry.object, hit.face), side)
+
+
+@device
+def shadowed(scene: SceneArrays, surface: Surface, stack: np.ndarray) -> bool:
+    """The paper's rule: the scene has lights, and the centre of none is visible; a light's own faces do not count."""
+    rule = scene.shadow_rule
+    geometry = scene.geometry
+    for light in range(len(rule.object)):
+        origin = surface.point
+        ignore = surface.face
+        while True:
+            ray = make_ray(origin, sub(vec3(rule.centre, light), origin))
+            hit: Hit = closest_hit(geometry.corners, geometry.tree, ray, 1.0, ignore, stack)
+            if hit.face < 0 or hit.t >= 1.0:
+                return False
+            if geometry.object[hit.face] != rule.object[light]:
+                break
+            # Through a face of the light itself.
+            origin = point_on_face(geometry, hit.face, hit.b1, hit.b2)
+            ignore = hit.face
+    return len(rule.object) > 0
 
 
 @device

@@ -36,6 +36,7 @@ class Cell:
 
     Attributes
     ----------
+    own : the limit that it is judged against.
     samples : (P,) the prefixes 1, 2, 4, ..., N.
     images : (K, P, H, W, 3) float32.
     seconds : (K, P) float64, wall-clock up to each prefix, compilation apart.
@@ -43,19 +44,19 @@ class Cell:
     """
 
     variant: Variant
+    own: Limit
     samples: tuple[int, ...]
     images: np.ndarray
     seconds: np.ndarray
     compile_seconds: float
 
-    def limit(self, scene: Scene) -> Limit:
-        """What the variant converges to with these samples."""
-        return self.variant.limit(scene, self.samples[-1])
-
 
 def key(scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain) -> str:
     """sha256 of all that decides a replicate's bits but its number."""
-    content = scene.digest(without=("name", "exposure", *_IRRELEVANT[variant.term]))
+    irrelevant = _IRRELEVANT[variant.term]
+    if scene.shadows == "paper":  # then lights decide on the ambient term as well
+        irrelevant = tuple(field for field in irrelevant if field != "lights")
+    content = scene.digest(without=("name", "exposure", *irrelevant))
     versions = [importlib.metadata.version(package) for package in ("numba", "numpy")]
     sources = sources_digest(PROJECT / "renderer", PROJECT / "scenes")
     used = chain if variant.term == "specular" else ""
@@ -67,6 +68,7 @@ def cell(
     engine: Engine,
     variant: Variant,
     *,
+    own: Limit,
     samples: int,
     replicates: int,
     seed: int,
@@ -100,7 +102,7 @@ def cell(
         images.append(kept[0])
         seconds.append(kept[1])
         progress()
-    return Cell(variant, prefixes, np.stack(images), np.stack(seconds), engine.compile_seconds - before)
+    return Cell(variant, own, prefixes, np.stack(images), np.stack(seconds), engine.compile_seconds - before)
 
 
 def _read(path: Path, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] | None:

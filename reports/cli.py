@@ -126,8 +126,9 @@ def judge(
     from reports.run import plain
     from reports.verdict import judge as decide
 
-    if not images:
-        raise ValueError("images: none given: allowed are 4 or more OpenEXR files")
+    for name, given in (("images", images), ("reference", reference)):
+        if not given:
+            raise ValueError(f"{name}: none given: allowed are OpenEXR files")
     outcome = decide(
         [_read(path, part) for path in images],
         [_read(path, part) for path in reference],
@@ -266,14 +267,18 @@ def reference(
         if term in (None, each)
     }
     if export is not None:
+        from reference.backend import active
         from reference.export import export as write
 
         write(described, dict(wanted), export, spp=spp, seed=seed, replicates=replicates)
         script = export / "render.py"
+        llvm = active().llvm_path
         if json_:
             print(json.dumps({"scene": described.name, "script": str(script)}))
         else:
             _output.print(f"Wrote {script}", soft_wrap=True, highlight=False)
+            if llvm:
+                _output.print(f"Run it with DRJIT_LIBLLVM_PATH={llvm}", soft_wrap=True, highlight=False)
         return 0
     folder = _folder(out / "reference")
     found = {
@@ -474,7 +479,7 @@ def _print_results(results: dict[str, Any]) -> None:
                 row["term"],
                 row["variant"],
                 "" if absent else f"{100 * row['bias']:+.2f} \\[{low:+.2f}, {high:+.2f}]",
-                "" if absent else f"{row['rmse']:.4f}",
+                "" if absent else f"{row['rmse']:.3g}",
                 "" if absent or row["ssim"] is None else f"{row['ssim']:.3f}",
                 f"{row['seconds']:.1f}",
                 f"[{colour}]{row['verdict']}[/{colour}]",

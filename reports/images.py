@@ -80,6 +80,8 @@ def limit_name(limit: Limit) -> str:
         words.append(f"{limit.cosine} cosine")
     if limit.rings is not None:
         words.append(f"{limit.rings} rings")
+    if limit.shadows != "physical":
+        words.append(f"{limit.shadows} shadows")
     if limit.scope:
         words.append(limit.scope)
     if limit.kernel is not None:
@@ -110,7 +112,7 @@ class Pictures:
         summed = total(*(cell.images[:, -1] for cell in defaults))
         ours[TOTAL, "default"] = _summary(summed, max(cell.samples[-1] for cell in defaults))
         truth = {limit_name(limit): _summary(stack, 0) for limit, stack in references.items()}
-        own = [cell.limit(scene) for cell in defaults]
+        own = [cell.own for cell in defaults]
         physical = [limits.physical(term) for term in TERMS]
         for name, chosen in (("total", own), ("total physical", physical)):
             shared = min(len(references[limit]) for limit in chosen)
@@ -121,7 +123,7 @@ class Pictures:
                 [
                     names.index(limit_name(limit))
                     for limit in (
-                        cell.limit(scene),
+                        cell.own,
                         limits.correct(cell.variant.term, scene.scope),
                         limits.physical(cell.variant.term),
                     )

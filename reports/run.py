@@ -97,6 +97,14 @@ def variants_of(study: Study, scene: Scene, term: Term) -> tuple[Variant, ...]:
     return tuple(variant for variant in chosen if variant.limit(scene, 1).scope in (None, scene.scope))
 
 
+def own_limit(study: Study, scene: Scene, variant: Variant) -> Limit:
+    """What a variant is judged against: its twin where it estimates a density and the study renders twins."""
+    samples = study.samples_of(variant)
+    limit, kernel = variant.limit(scene, samples), variant.kernel(scene, samples)
+    has_twin = study.twin_maps is not None and limit.transport == "decomposed" and limit.shadows == "physical"
+    return attrs.evolve(limit, kernel=kernel) if kernel is not None and has_twin else limit
+
+
 def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
     """sha256 of all that decides a run's results but the speed of the machine."""
     sources = sources_digest(*(PROJECT / name for name in ("renderer", "reference", "scenes", "reports")))
@@ -171,6 +179,7 @@ def measure(
                 cells.cell(
                     engine,
                     variant,
+                    own=own_limit(study, scene, variant),
                     samples=study.samples_of(variant),
                     replicates=study.replicates,
                     seed=study.seed,
@@ -235,10 +244,18 @@ def _limits(study: Study, scene: Scene) -> tuple[Limit, ...]:
     wanted: dict[Limit, None] = {}
     for term in TERMS:
         for variant in variants_of(study, scene, term):
-            wanted[variant.limit(scene, study.samples_of(variant))] = None
+            wanted[own_limit(study, scene, variant)] = None
         wanted[limits.correct(term, scene.scope)] = None
         wanted[limits.physical(term)] = None
     return tuple(wanted)
+
+
+def _reference_samples(study: Study, limit: Limit) -> int:
+    """Samples per pixel and replicate; of a twin, photon maps a replicate."""
+    if limit.kernel is not None:
+        assert study.twin_maps is not None
+        return study.twin_maps
+    return study.physical_spp if limit.transport == "physical" else study.reference_spp
 
 
 def _references(study: Study, scene: Scene, advance: Callable[[str], None]) -> References:
@@ -247,7 +264,7 @@ def _references(study: Study, scene: Scene, advance: Callable[[str], None]) -> R
         kept = store.replicates(
             scene,
             limit,
-            spp=study.physical_spp if limit.transport == "physical" else study.reference_spp,
+            spp=_reference_samples(study, limit),
             seed=study.seed,
             count=study.reference_replicates,
             folder=cache_folder() / "reference",
@@ -274,16 +291,22 @@ def _rows(
     fallback = sum(luminance(references.images[limit]) for limit in correct.values()) or 1.0
     rows: list[_Row] = []
 
-    def statistics(ours: np.ndarray, reference: np.ndarray) -> Statistics:
-        return verdict.measure(ours, reference, objects=objects, object_names=names, scale=fallback)
+    def statistics(ours: np.ndarray, reference: np.ndarray, what: str = TOTAL) -> Statistics:
+        try:
+            return verdict.measure(ours, reference, objects=objects, object_names=names, scale=fallback)
+        except ValueError as error:
+            raise ValueError(f"{scene.name}: {what}: {error}") from None
 
     for cell in measured:
         variant = cell.variant
         term = variant.term
-        own = cell.limit(scene)
+        own = cell.own
         reference = references.images[own]
-        at_own = statistics(cell.images[:, -1], reference)
-        kernel = variant.kernel_based(scene)
+        what = f"{term} {variant.name}"
+        at_own = statistics(cell.images[:, -1], reference, what)
+        # Against its twin a kernel estimate is judged like any other.
+        kernel = variant.kernel_based(scene) and own.kernel is None
+        judged = variant.judged or own.kernel is not None
         errors = [mean_square_error(cell.images[:, p], reference) for p in range(len(cell.samples))]
         curve = None
         if len(cell.samples) >= PREFIXES_NEEDED and not at_own.absent:
@@ -315,16 +338,16 @@ def _rows(
                     kernel=kernel,
                     allowance=variant.allowance if kernel else 0.0,
                     margin=verdict.margin_of(variant.kind, own_mean, correct_mean),
-                    judged=last and variant.judged,
-                    predicted_bias=0.0 if variant.judged else None,
-                    reason=skipped(scene, term) or "",
+                    judged=last and judged,
+                    predicted_bias=0.0 if judged else None,
+                    reason=skipped(scene, term) or "the camera sees nothing of it",
                 )
             )
         ratio = variant.ratio(scene)
         measured_ratio = own_mean / correct_mean if correct_mean > 0 else None
         for against, limit in (("correct", correct[term]), ("physical", physical[term])):
             predicted = ratio if against == "correct" and ratio is not None else None
-            if against == "correct" and predicted is None and variant.judged:
+            if against == "correct" and predicted is None and judged:
                 predicted = measured_ratio
             if against == "physical" and variant.name != study.variants_of(term)[0]:
                 continue
@@ -336,7 +359,7 @@ def _rows(
                     scene,
                     statistics=at_own
                     if limit == own
-                    else statistics(cell.images[:, -1], references.images[limit]),
+                    else statistics(cell.images[:, -1], references.images[limit], what),
                     samples=cell.samples[-1],
                     seconds=float(cell.seconds[:, -1].sum()),
                     source=references.described(limit),
@@ -356,6 +379,7 @@ def _exact_rows(study: Study, case: Case, progress: Callable[[], object]) -> lis
         cell = cells.cell(
             engine,
             case.variant,
+            own=case.variant.limit(case.scene, case.samples),
             samples=case.samples,
             replicates=study.replicates,
             seed=study.seed,
@@ -410,11 +434,14 @@ def _total_rows(
     """Rows of the sum of the default variants; it carries the allowance of a kernel-based term."""
     default = {term: next(c for c in measured if c.variant.term == term) for term in TERMS}
     ours = total(*(default[term].images[:, -1] for term in TERMS))
-    kernel = any(cell.variant.kernel_based(scene) for cell in default.values())
-    allowance = max(c.variant.allowance if c.variant.kernel_based(scene) else 0.0 for c in default.values())
+    by_kernel = [
+        c.variant for c in default.values() if c.variant.kernel_based(scene) and c.own.kernel is None
+    ]
+    kernel = bool(by_kernel)
+    allowance = max((variant.allowance for variant in by_kernel), default=0.0)
     rows = []
     for against, limit_of in (
-        ("own", lambda term: default[term].limit(scene)),
+        ("own", lambda term: default[term].own),
         ("physical", limits.physical),
     ):
         chosen = tuple(limit_of(term) for term in TERMS)

@@ -86,6 +86,8 @@ class Study:
     replicates, reference_replicates : K and R, independent seeds, each with photon maps of its own.
     reference_spp : samples per pixel of a reference replicate.
     physical_spp : the same for full light transport, against which no verdict is due.
+    twin_maps : photon maps a replicate of the twins, which kernel estimates are then judged against (at least 64 over
+        all replicates are wanted); None: they are judged against E itself, with their allowance.
     photons : photons per pass at most, instead of a scene's larger count; None: the scenes' own.
     samples : samples per pixel and replicate of a term, or of one variant as "term.variant"; powers of two keep
         low-discrepancy points well spread. DEFAULT_SAMPLES where nothing is said.
@@ -101,6 +103,7 @@ class Study:
     reference_replicates: int = attrs.field(default=16, validator=in_range(4, 4096))
     reference_spp: int = attrs.field(default=64, validator=_count)
     physical_spp: int = attrs.field(default=16, validator=_count)
+    twin_maps: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     photons: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     samples: dict[str, int] = attrs.field(factory=dict, validator=_samples)
     variants: Variants = Variants()

@@ -80,6 +80,8 @@ class Limit:
         N of the paper's rule over the hemisphere, at every vertex; None: the integral.
     kernel : Kernel or None
         The photon density estimate that E is, None: E itself.
+    shadows : "physical" | "paper"
+        The paper's shadow rule (see `scenes.model.Scene`), or none.
     transport : "decomposed" | "physical"
         `decomposed`: the paper's operator above. `physical`: full light transport with all lights
         visible to every lobe, split by the lobe sampled at the camera vertex.
@@ -94,6 +96,7 @@ class Limit:
     cosine: Literal["incident", "outgoing"] = "incident"
     rings: int | None = None
     kernel: Kernel | None = None
+    shadows: Literal["physical", "paper"] = "physical"
     transport: Literal["decomposed", "physical"] = "decomposed"
 
 

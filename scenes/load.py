@@ -7,6 +7,7 @@ Errors are one line: file, field, value, and what is allowed.
 """
 
 import math
+import re
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -179,7 +180,20 @@ class _MeshFile(_Placed):
             raise ValueError(f"{where}: is not a mesh that can be read ({reason})") from None
         if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
             raise ValueError(f"{where}: holds no triangles: allowed is a mesh with at least one")
+        declared = _declared_faces(path)
+        if len(loaded.faces) < declared:
+            raise ValueError(f"{where}: holds {len(loaded.faces)} of {declared} faces: it is cut short")
         return np.asarray(loaded.vertices), np.asarray(loaded.faces)
+
+
+def _declared_faces(path: Path) -> int:
+    """Number of polygons that a PLY file's header promises; 0 for other files. trimesh takes what it finds."""
+    if path.suffix.lower() != ".ply":
+        return 0
+    with path.open("rb") as file:
+        header = file.read(4096).partition(b"end_header")[0]
+    match = re.search(rb"element\s+face\s+(\d+)", header)
+    return int(match[1]) if match else 0
 
 
 _SHAPES: dict[str, type[_Placed]] = {kind.shape: kind for kind in (_Rectangle, _Box, _Sphere, _MeshFile)}
@@ -237,7 +251,7 @@ class _SceneFile:
     max_bounces: int = 2
     rings: int = 16
     scope: Scope = "all"
-    shadows: Literal["physical"] = "physical"
+    shadows: Literal["physical", "paper"] = "physical"
     draw_lights: bool = False
 
     def build(self, path: Path) -> Scene:
@@ -250,7 +264,9 @@ class _SceneFile:
 def _shape(value: Any, _kind: type) -> _Placed:
     if not isinstance(value, dict):
         raise TypeError("a table")
-    kind = _SHAPES.get(value.get("shape", ""))
+    if "shape" not in value:
+        raise ValueError(f"shape: is missing: allowed are {', '.join(_SHAPES)}")
+    kind = _SHAPES.get(value["shape"]) if isinstance(value["shape"], str) else None
     if kind is None:
         raise ValueError(f"shape = {value.get('shape')!r}: allowed are {', '.join(_SHAPES)}")
     return _converter.structure({key: item for key, item in value.items() if key != "shape"}, kind)

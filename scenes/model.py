@@ -104,8 +104,20 @@ class Mesh:
             raise ValueError(
                 f"faces[{bad}] = {tuple(faces[bad].tolist())}: allowed are indices in [0, {len(vertices) - 1}]"
             )
+        corners = vertices[faces]
+        if not np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():
+            raise ValueError("mesh has no area: allowed is at least one triangle that has")
         normals = _vertex_normals(vertices, faces) if smooth else None
         return cls(vertices, faces, normals)
+
+    def centroid(self) -> Vector:
+        """Centre of mass of the surface."""
+        corners = self.vertices[self.faces]
+        area = np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1, keepdims=True
+        )
+        x, y, z = (np.sum(area * corners.mean(axis=1), axis=0) / area.sum()).tolist()
+        return x, y, z
 
 
 def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -202,6 +214,8 @@ class Camera:
     def __attrs_post_init__(self) -> None:
         """Refuse a camera that has no direction."""
         forward = np.subtract(self.target, self.position)
+        if not forward.any():
+            raise ValueError(f"target = {self.target!r}: allowed is a point other than position")
         if not np.linalg.norm(np.cross(forward, self.up)) > 0:
             raise ValueError(f"up = {self.up!r}: allowed is a vector not parallel to target - position")
 
@@ -283,6 +297,9 @@ class Scene:
     """Everything that is rendered. Immutable; `attrs.evolve` makes variations.
 
     `rings` is N of the paper's rule `mu_k = k / (N + 1)` over the hemisphere (its max_samples).
+    `shadows` is "physical", where visibility alone decides, or "paper", its early return on top: a point that sees the
+    centre of no light (a point light's position, an emitting object's centroid by area, its own faces apart) has
+    `color` times the ambient light and nothing else, and a specular chain ends there. Without lights there is none.
     """
 
     name: str
@@ -298,13 +315,15 @@ class Scene:
     max_bounces: int = attrs.field(default=2, validator=in_range(0, 64))
     rings: int = attrs.field(default=16, validator=in_range(1, 65536))
     scope: Scope = "all"
-    shadows: Literal["physical"] = "physical"
+    shadows: Literal["physical", "paper"] = "physical"
     draw_lights: bool = False
 
     def __attrs_post_init__(self) -> None:
         """Refuse two objects of one name: verdicts are reported by object."""
         names = [thing.name for thing in self.objects]
         for name in names:
+            if name in ("", "image"):  # the name of the whole picture, as a region
+                raise ValueError(f"objects: name = {name!r}: allowed is any other than '' and 'image'")
             if names.count(name) > 1:
                 raise ValueError(f"objects: name {name!r} is used twice: allowed are distinct names")
 
@@ -328,6 +347,14 @@ class Scene:
         """Whether anything emits light and lighting is on."""
         shining = any(any(light.intensity) for light in self.lights)
         return self.toggles.lighting and (shining or any(thing.emits for thing in self.objects))
+
+    @property
+    def light_centres(self) -> list[tuple[Vector, int]]:
+        """Centre of each light that is on, and the index of its object (-1: a point light)."""
+        if not self.toggles.lighting:
+            return []
+        points = [(light.position, -1) for light in self.lights if any(light.intensity)]
+        return points + [(thing.mesh.centroid(), i) for i, thing in enumerate(self.objects) if thing.emits]
 
     @property
     def occlusion_range(self) -> float:

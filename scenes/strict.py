@@ -62,6 +62,24 @@ def converter() -> cattrs.Converter:
         lambda kind: get_origin(kind) is tuple and Ellipsis not in get_args(kind), fixed_list
     )
 
+    def sequence(value: Any, kind: Any) -> Any:
+        if not isinstance(value, list):  # a string is a sequence of letters
+            raise TypeError("a list")
+        return items(value, kind)
+
+    def any_length(kind: Any) -> bool:
+        return get_origin(kind) is tuple and Ellipsis in get_args(kind)
+
+    def mapping(value: Any, kind: Any) -> Any:
+        if not isinstance(value, dict):
+            raise TypeError("a table")
+        return entries(value, kind)
+
+    items = strict.get_structure_hook(tuple[Any, ...])
+    entries = strict.get_structure_hook(dict[str, int])
+    strict.register_structure_hook_func(any_length, sequence)
+    strict.register_structure_hook_func(lambda kind: get_origin(kind) is dict, mapping)
+
     def table(kind: type) -> Any:
         structure = make_dict_structure_fn(kind, strict, _cattrs_forbid_extra_keys=True)
 

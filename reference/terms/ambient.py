@@ -2,7 +2,8 @@
 
 Infinite range: Mitsuba's `direct` integrator under a `constant` emitter of radiance L_a0. Finite range: no built-in
 has one, so cosine-distributed rays of limited length are cast here. Range 0, or a limit without occlusion: AO is 1.
-With N rings the integral is `(2/N) Σ mu_k hit_k`, mu_k = k / (N + 1), its azimuths uniform.
+With N rings the integral is `(2/N) Σ mu_k hit_k`, mu_k = k / (N + 1), its azimuths uniform. Where the paper's shadow
+rule makes a point dark, its albedo is `color`.
 """
 
 from typing import Any
@@ -11,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..wavefront import Estimator, Samples, idle
+from . import shadows
 
 RAYS = 4  # occlusion rays per camera ray: they share the primary hit
 UNBOUNDED = 1e30
@@ -40,6 +42,7 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
 
         return unbounded
 
+    dark = shadows.rule(loaded, limit)
     color = dr.opaque(mi.Color3f, loaded.description["ambient"]["color"])
 
     def bounded(ray: Any, sampler: Any, active: Any) -> Any:
@@ -48,6 +51,10 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
         if idle(active):
             return mi.Color3f(0.0)
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
+        if limit["shadows"] == "paper":
+            plain = loaded.scenes["color"].ray_intersect(ray, active)
+            color_alone = plain.bsdf().eval_diffuse_reflectance(plain, active)
+            albedo = dr.select(dark(si, active), color_alone, albedo)
         if reach == 0.0:
             return dr.select(active, albedo * color, 0.0)
         seen = mi.Float(0.0)
@@ -68,7 +75,8 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
 def built_in(loaded: Any, limit: dict[str, Any]) -> bool:
     """Whether the limit is that of Mitsuba's own integrator."""
     bounded = loaded.description["ambient"]["range"] < UNBOUNDED
-    return limit["occluded"] and limit["rings"] is None and not bounded
+    plain = limit["occluded"] and limit["rings"] is None and limit["shadows"] == "physical"
+    return plain and not bounded
 
 
 def ring_direction(sample: Any, rings: int) -> Any:

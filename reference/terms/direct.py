@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..wavefront import Estimator, Samples, meets_surface, pixel_means
+from . import shadows
 
 FIRST_HIT = 2  # segments: camera to surface, surface to light
 DEPTHS = (2, 4, 8, 16, 32, 64, 128, 256)
@@ -30,7 +31,16 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses or meets a light's surface."""
     if not loaded.description["has_lights"]:
         return lambda ray, sampler, active: mi.Color3f(0.0)
-    return reflected(loaded.scenes["direct"], depth_of(loaded, limit))
+    radiance = reflected(loaded.scenes["direct"], depth_of(loaded, limit))
+    if limit["shadows"] == "physical":
+        return radiance
+    dark = shadows.rule(loaded, limit)
+
+    def masked(ray: Any, sampler: Any, active: Any) -> Any:
+        si = loaded.scenes["diffuse"].ray_intersect(ray, active)
+        return dr.select(dark(si, si.is_valid()), 0.0, radiance(ray, sampler, active))
+
+    return masked
 
 
 def depth_of(loaded: Any, limit: dict[str, Any]) -> int:

@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..wavefront import Estimator, Samples
-from . import ambient, direct
+from . import ambient, direct, shadows
 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
@@ -22,12 +22,13 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
     plain = limit | {"rings": None}
     diffuse_terms = [term.incoming(loaded, plain) for term in (ambient, direct)]
     sample_lobes = _lobes(limit)
+    dark = shadows.rule(loaded, limit)
 
     def estimate(samples: Samples) -> tuple[Any]:
         if bounces == 0:
             return (mi.Color3f(0.0),)
         color, ray, weight, active = _chain(
-            loaded.scenes["specular"], loaded.sky, bounces, sample_lobes, samples
+            loaded.scenes["specular"], loaded.sky, bounces, sample_lobes, dark, samples
         )
         dr.eval(color, ray, weight, active)  # one kernel for the chain, one for each diffuse term
         for term in diffuse_terms:
@@ -38,7 +39,9 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
 
 
 @dr.syntax
-def _chain(scene: Any, sky_radiance: Any, bounces: int, sample_lobes: Any, samples: Samples) -> Any:
+def _chain(
+    scene: Any, sky_radiance: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Samples
+) -> Any:
     """Follow the lobes: the sky's light, and ray, weight and existence of the segment to the chosen vertex."""
     sampler = samples.sampler
     last = dr.opaque(mi.UInt32, bounces)
@@ -46,6 +49,7 @@ def _chain(scene: Any, sky_radiance: Any, bounces: int, sample_lobes: Any, sampl
     ray = mi.Ray3f(samples.ray)
     si = scene.ray_intersect(ray)
     active = mi.Bool(si.is_valid())
+    active &= ~dark(si, active)
     throughput = mi.Color3f(1.0)
     color = mi.Color3f(0.0)
     depth = mi.UInt32(0)
@@ -65,7 +69,7 @@ def _chain(scene: Any, sky_radiance: Any, bounces: int, sample_lobes: Any, sampl
         kept_weight = dr.select(here, throughput, kept_weight)
         kept |= here
         depth += 1
-        active &= depth < last
+        active &= (depth < last) & ~dark(si, active)
     return color, kept_ray, kept_weight, kept
 
 

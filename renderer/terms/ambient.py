@@ -23,7 +23,7 @@ from renderer.geometry.bvh import STACK_SIZE
 from renderer.jit import device, kernel
 from renderer.photon_map import PhotonMap
 from renderer.sobol import Sampler, sample_2d
-from renderer.surface import Surface, occluded
+from renderer.surface import Surface, occluded, shadowed
 from renderer.terms.variant import Chain, Variant
 from renderer.vector import Vec3, frame, is_black, mul, scale, to_world, vec3
 from renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
@@ -52,10 +52,11 @@ def sample_hemisphere(rule: int, rings: int, u: float, v: float) -> tuple[Vec3, 
 
 @device
 def ambient_radiance(
-    scene: SceneArrays, rule: int, surface: Surface, sampler: Sampler, stack: np.ndarray
+    scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler, stack: np.ndarray
 ) -> Vec3:
-    """Ambient radiance of a surface by one occlusion ray, drawn by `rule`."""
-    radiance = mul(vec3(scene.materials.diffuse, surface.object), scene.ambient)
+    """Ambient radiance of a surface by one occlusion ray, drawn by `rule`; `dark`: shadowed by the paper's rule."""
+    share = scene.materials.color if dark else scene.materials.diffuse
+    radiance = mul(vec3(share, surface.object), scene.ambient)
     if is_black(radiance) or scene.ambient_range == 0.0 or rule == CONSTANT:
         return radiance
     u, v = sample_2d(sampler, OCCLUSION)
@@ -76,7 +77,8 @@ def _occlusion(
             for index in range(first, last):
                 surface, sampler = first_surface(scene, key, x, y, index, stack)
                 if surface.face >= 0:
-                    accumulate(out, x, y, ambient_radiance(scene, rule, surface, sampler, stack))
+                    dark = shadowed(scene, surface, stack)
+                    accumulate(out, x, y, ambient_radiance(scene, rule, surface, dark, sampler, stack))
 
 
 def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:
@@ -85,8 +87,15 @@ def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:
 
 def _limit(scene: Scene, *, factor: float = 1.0, rings: int | None = None) -> Limit:
     """What an estimator becomes where ambient occlusion is off: L_a0 without a ray, in all variants (paper)."""
-    on = scene.toggles.ambient_occlusion
-    return Limit("ambient", factor=factor, rings=rings) if on else Limit("ambient", occluded=False)
+    if not scene.toggles.ambient_occlusion:
+        factor, rings = 1.0, None
+    return Limit(
+        "ambient",
+        occluded=scene.toggles.ambient_occlusion,
+        factor=factor,
+        rings=rings,
+        shadows=scene.shadows,
+    )
 
 
 VARIANTS = (
@@ -140,7 +149,7 @@ VARIANTS = (
         term="ambient",
         driver=_occlusion,
         inputs=_inputs(CONSTANT),
-        limit=lambda scene, samples: Limit("ambient", occluded=False),
+        limit=lambda scene, samples: Limit("ambient", occluded=False, shadows=scene.shadows),
         kind="wrong",
         equation=r"L_{a0}",
         converges_to=r"L_{a0}",

@@ -20,7 +20,7 @@ from renderer.photon_search import nearest_irradiance
 from renderer.photon_tracing import MAX_SURVIVAL
 from renderer.rng import fold
 from renderer.sobol import Sampler, sample_1d, sample_2d
-from renderer.surface import Surface, trace
+from renderer.surface import Surface, shadowed, trace
 from renderer.terms.variant import Variant
 from renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, scale, to_world, vec3
 from renderer.warp import INV_PI, square_to_cosine_hemisphere
@@ -91,7 +91,7 @@ def _next_event(
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
                 surface, sampler = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0:
+                if surface.face >= 0 and not shadowed(scene, surface, stack):
                     accumulate(out, x, y, direct_next_event(scene, photons, surface, sampler, stack))
 
 
@@ -102,7 +102,7 @@ def _path(scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile,
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
                 surface, sampler = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0:
+                if surface.face >= 0 and not shadowed(scene, surface, stack):
                     accumulate(out, x, y, direct_path(scene, surface, sampler, stack))
 
 
@@ -121,7 +121,7 @@ def _photon_map(
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
                 surface, _ = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0:
+                if surface.face >= 0 and not shadowed(scene, surface, stack):
                     weight = vec3(scene.materials.diffuse, surface.object)
                     if not is_black(weight):
                         irradiance = estimate_irradiance(scene, photons, surface, stack)
@@ -147,7 +147,7 @@ def _nearest(
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
                 surface, _ = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0:
+                if surface.face >= 0 and not shadowed(scene, surface, stack):
                     weight = vec3(scene.materials.diffuse, surface.object)
                     if not is_black(weight):
                         irradiance = nearest_irradiance(photons, surface, nearest, heap, chosen)
@@ -158,7 +158,7 @@ def _limit(scene: Scene, samples: int) -> Limit:
     """E_all; with photons that scatter on the full BSDF, all light that the diffuse lobe reflects."""
     if scene.photons.scattering == "full":
         return limits.physical("direct")
-    return Limit("direct", scope="all")
+    return Limit("direct", scope="all", shadows=scene.shadows)
 
 
 def _of_radius(scene: Scene, samples: int, stored: Literal["scattered", "all"]) -> Kernel:
@@ -179,7 +179,7 @@ def _of_nearest(*, unbiased: bool = False, weighted: bool = True) -> Callable[[S
     return estimate
 
 
-_NEEDS_TWIN = "its own limit, a kernel estimate at finite k, needs Mitsuba-traced photons"
+_NEEDS_TWIN = "only against its twin: its own limit is an estimate with k photons"
 
 VARIANTS = (
     Variant(
@@ -187,7 +187,9 @@ VARIANTS = (
         term="direct",
         driver=_next_event,
         limit=lambda scene, samples: (
-            _limit(scene, samples) if scene.scope == "all" else Limit("direct", scope="first-hit")
+            _limit(scene, samples)
+            if scene.scope == "all"
+            else Limit("direct", scope="first-hit", shadows=scene.shadows)
         ),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \Big[ \frac{L_e \cos\theta \cos\theta'}{d^2\, p}"
@@ -205,7 +207,7 @@ VARIANTS = (
         name="path",
         term="direct",
         driver=_path,
-        limit=lambda scene, samples: Limit("direct", scope="all"),
+        limit=lambda scene, samples: Limit("direct", scope="all", shadows=scene.shadows),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \sum_j \beta_j \frac{L_e \cos\theta \cos\theta'}{d^2\, p}",
         converges_to=r"E_{\text{all}} / \pi",

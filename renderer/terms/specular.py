@@ -33,7 +33,7 @@ from renderer.photon_map import PhotonMap
 from renderer.rng import fold
 from renderer.sky import sky_radiance
 from renderer.sobol import Sampler, sample_1d, sample_2d
-from renderer.surface import Surface, trace
+from renderer.surface import Surface, shadowed, trace
 from renderer.terms.ambient import COSINE, ambient_radiance
 from renderer.terms.direct import direct_next_event, direct_path
 from renderer.terms.variant import Chain, Stored, Variant
@@ -98,7 +98,10 @@ def _diffuse(
     stack: np.ndarray,
 ) -> Vec3:
     """Ambient + direct at a vertex of the chain."""
-    ambient = ambient_radiance(scene, COSINE, surface, sampler, stack)
+    dark = shadowed(scene, surface, stack)
+    ambient = ambient_radiance(scene, COSINE, surface, dark, sampler, stack)
+    if dark:
+        return ambient
     if unbiased:
         return add(ambient, direct_path(scene, surface, sampler, stack))
     return add(ambient, direct_next_event(scene, photons, surface, sampler, stack))
@@ -127,7 +130,7 @@ def _chain(
                     bounce += 1
                     material = surface.object
                     gloss = scene.materials.specular[material]
-                    if gloss == 0.0:
+                    if gloss == 0.0 or shadowed(scene, surface, stack):
                         break
                     local = frame(surface.normal)
                     wo = to_local(local, surface.wo)
@@ -165,12 +168,19 @@ def _photons(scene: Scene, chain: Chain) -> Stored | None:
 
 
 def _limit(lobe: float = 1.0, **changes: Any) -> Callable[[Scene, int], Limit]:
-    return lambda scene, samples: Limit("specular", scope=scene.scope, lobe=lobe, **changes)
+    return lambda scene, samples: Limit(
+        "specular", scope=scene.scope, lobe=lobe, shadows=scene.shadows, **changes
+    )
 
 
 def _rings(lobe: float) -> Callable[[Scene, int], Limit]:
     return lambda scene, samples: Limit(
-        "specular", scope=scene.scope, lobe=lobe, diffuse=0.5, rings=scene.rings
+        "specular",
+        scope=scene.scope,
+        lobe=lobe,
+        diffuse=0.5,
+        rings=scene.rings,
+        shadows=scene.shadows,
     )
 
 

@@ -41,7 +41,7 @@ class Variant:
     scatterings : values of `scene.photons.scattering` that it can follow.
     allowance : share of bias that is granted to a kernel-based variant, printed beside every verdict.
     ratio : scene -> predicted own / correct where that is one number for the whole image, else None.
-    judged : whether a verdict is due; `why_not` says why where it is not.
+    judged : whether a verdict is due without a twin; `why_not` says why where it is not.
     """
 
     name: str

@@ -1,8 +1,10 @@
 """First hits of Mitsuba's rays against brute force over all triangles in float64 (Möller and Trumbore 1997)."""
 
 import numpy as np
+import pytest
 import trimesh
 
+import reference
 from reference.geometry import geometry
 from scenes.model import Camera, Mesh, Object, Scene
 
@@ -48,3 +50,14 @@ def test_first_hits():
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         np.testing.assert_allclose(hits.normal.reshape(-1, 3)[here], normal, atol=2e-5)
     assert np.isinf(hits.depth[hits.object == -1]).all()
+
+
+def test_an_object_too_small_for_single_precision_is_refused():
+    """A speck 1e-4 of the scene's extent: the ray offset would be as long as a tenth of it."""
+    speck = Object("speck", Mesh.from_arrays(0.01 * np.eye(3), [[0, 1, 2]]))
+    ground = Object("ground", Mesh.from_arrays(100.0 * np.eye(3), [[0, 1, 2]]))
+    scene = Scene("far", Camera((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (speck, ground))
+    with pytest.raises(
+        ValueError, match=r"far: object 'speck' is 0.01 long in a scene of 100: allowed is at least 0.001"
+    ):
+        reference.loaded(scene)

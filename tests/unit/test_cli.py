@@ -118,7 +118,7 @@ SMALL = "--samples", 1, "--resolution", 4, 4
         (["compare", "--backend", "glow"], ["'glow'", "llvm_ad_rgb"]),
         (["compare", "monkey", "--study", "quick", "--out", "file"], ["file/compare", "Not a directory"]),
         (["judge"], ["--reference"]),
-        (["judge", "--reference", "scene.toml"], ["images", "4 or more"]),
+        (["judge", "--reference", "scene.toml"], ["images: none given", "OpenEXR files"]),
         (["judge", "missing.exr", "--reference", "missing.exr"], ["missing.exr", "no such file"]),
         (["judge", ".", "--reference", "."], [".", "is a folder"]),
         (["judge", "scene.toml", "--reference", "scene.toml"], ["scene.toml", "not an OpenEXR"]),
@@ -142,7 +142,8 @@ def test_bad_arguments(arguments: list[Any], named: list[str], run: Command):
         ("color = [1, 1, 1]", "color = [1, 1]", ["ambient.color = [1, 1]", "a list of 3"]),
         ("color = [1, 1, 1]", 'color = "white"', ["ambient.color = 'white'", "a list of 3"]),
         ("color = [1, 1, 1]", "range = 0", ["ambient", "range = 0.0", "(0, inf]"]),
-        ("position = [0, -4, 1]", "position = [0, 0, 0]", ["camera", "up = "]),
+        ("position = [0, -4, 1]", "position = [0, 0, 0]", ["camera", "target = (0.0, 0.0, 0.0)", "position"]),
+        ("position = [0, -4, 1]", "position = [0, 0, 1]", ["camera", "up = ", "parallel"]),
         ("position = [0, -4, 1]", "", ["camera.position: is missing"]),
         ("[camera]", "[camera]\nfov = 180", ["camera", "fov = 180.0", "(0, 180)"]),
         (

@@ -93,7 +93,7 @@ BAD = {
         ["color = (-1.0, 0.0, 0.0)", "[0, inf)"],
     ),
     "unknown shape": (GOOD.replace('"box"', '"cone"'), ["shape = 'cone'", "rectangle, box, sphere, mesh"]),
-    "no shape": (GOOD.replace('shape = "box"\n', ""), ["shape = None", "rectangle, box, sphere, mesh"]),
+    "no shape": (GOOD.replace('shape = "box"\n', ""), ["shape: is missing", "rectangle, box, sphere, mesh"]),
     "size 0": (GOOD.replace("[1.0, 1.0, 1.0]", "[1.0, 0.0, 1.0]"), ["size = (1.0, 0.0, 1.0)", "(0, inf)"]),
     "negative scale": (GOOD + "scale = -1.0\n", ["scale = -1.0", "(0, inf)"]),
     "object is a number": ("objects = [3]\n" + CAMERA, ["objects", "3", "a table"]),
@@ -118,6 +118,17 @@ BAD = {
     "mesh of another kind": (mesh_object("mesh.fbx"), ["file = 'mesh.fbx'", ".ply, .obj, .stl or .glb"]),
     "mesh that is none": (mesh_object("text.ply"), ["file = 'text.ply'", "not a mesh"]),
     "mesh cut short": (mesh_object("short.ply"), ["file = 'short.ply'"]),
+    "mesh that promises more": (
+        mesh_object("promise.ply"),
+        ["file = 'promise.ply'", "1 of 3 faces", "cut short"],
+    ),
+    "mesh without area": (mesh_object("line.ply"), ["'m'", "file = 'line.ply'", "no area"]),
+    "name of the whole picture": (GOOD.replace('"a"', '"image"'), ["objects", "name = 'image'"]),
+    "view of nothing": (
+        GOOD.replace("[0.0, -3.0, 1.0]", "[0.0, 0.0, 0.0]"),
+        ["target = (0.0, 0.0, 0.0)", "position"],
+    ),
+    "objects in a string": ('objects = "box"\n' + CAMERA, ["objects = 'box'", "a list"]),
     "mesh without faces": (mesh_object("empty.ply"), ["file = 'empty.ply'"]),
     "mesh with a nan": (mesh_object("nan.ply"), ["'m'", "vertices[1]", "finite"]),
     "mesh with a wild index": (mesh_object("index.ply"), ["'m'", "file = 'index.ply'"]),
@@ -156,6 +167,8 @@ def folder(tmp_path) -> Path:
     (tmp_path / "mesh.fbx").write_text("x")
     (tmp_path / "text.ply").write_text("this is not a mesh\n" * 20)
     (tmp_path / "short.ply").write_text(PLY.format(faces=5, second="1")[:-9])
+    (tmp_path / "promise.ply").write_text(PLY.format(faces=3, second="1") + "3 0 1 2\n")
+    (tmp_path / "line.ply").write_text(PLY.format(faces=1, second="1") + "3 0 1 1\n")
     (tmp_path / "empty.ply").write_text(PLY.format(faces=0, second="1"))
     (tmp_path / "nan.ply").write_text(PLY.format(faces=1, second="nan") + "3 0 1 2\n")
     (tmp_path / "index.ply").write_text(PLY.format(faces=1, second="1") + "3 0 1 7\n")

@@ -83,7 +83,10 @@ def test_a_study_by_path(tmp_path: Path):
         (VALID + "[samples]\nglow = 4", ["samples.glow = 4", "unknown key", "ambient"]),
         (VALID + '[samples]\n"direct.glow" = 4', ["samples.direct.glow = 4", "unknown key", "direct.path"]),
         (VALID + '[samples]\ndirect = "16"', ["samples", "'16'", "an integer"]),
-        (VALID + '[variants]\ndirect = ["photons"]', ["variants", "'photons'", "next-event, path, paper"]),
+        (
+            VALID + '[variants]\ndirect = ["photons"]',
+            ["variants", "'photons'", "next-event, photon-map, nearest, path, paper, paper-unweighted"],
+        ),
         (VALID + "[variants]\ndirect = []", ["variants", "direct = []", "next-event"]),
         (VALID + '[variants]\ndirect = ["path", "path"]', ["variants", "direct", "'path'", "twice"]),
         ("scenes = []\nresolution = [8, 8]", ["scenes = ", "at least one"]),

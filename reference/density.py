@@ -1,0 +1,170 @@
+"""Irradiance from photons, `E(x) = Σ_p Φ_p K(|x_p - x|) / M(x)`, or by the k nearest, `s Σ_{p≤k} Φ_p / (π r_k²)`.
+
+`K(d) = (m + 1) (1 - d²/r²)^m / (π r²)`, m = 0 uniform, 1 Epanechnikov, 2 Simpson; `M(x) = ∫ K(|y - x|) dA(y)` over the
+faces whose photons count at x. With x0 the foot of x on the plane of a face, h its height, `q = 1 - h²/r²` and
+`v = |y - x0|²/r²`, K is there the divergence of the radial field
+
+    F(y) = (y - x0) / (2π r² v) · [q^{m+1} - max(q - v, 0)^{m+1}].
+
+The mass of a triangle is therefore the flux of F through its three edges: inside the kernel's disc the integral of a
+polynomial of degree 2m along the edge, for which three Gauss-Legendre points are exact, and outside q^{m+1} / 2π times
+the angle that the rest of the edge subtends at x0.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+POWERS = {"uniform": 0, "epanechnikov": 1, "simpson": 2}
+# Photons of faces turned further than acos(0.1) from the point's are another surface.
+MIN_NORMAL_COSINE = 0.1
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+_CANDIDATES = 2**22  # entries of one k-nearest search: bounds memory
+
+
+class Faces(NamedTuple):
+    """Triangles of all objects in one list; `corners` (F, 3, 3), unit `normals` (F, 3), `object` (F,) index."""
+
+    corners: np.ndarray
+    normals: np.ndarray
+    object: np.ndarray
+
+
+def faces(corners: np.ndarray, owner: np.ndarray) -> Faces:
+    """Faces with their unit geometric normals, zero without an area."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return Faces(corners, np.divide(normals, length, out=np.zeros_like(normals), where=length > 0), owner)
+
+
+class Points(NamedTuple):
+    """Where E is asked for.
+
+    Attributes
+    ----------
+    position : (N, 3) float64, on the surface.
+    face : (N,) index into the faces.
+    side : (N,) +1 where the viewer is on the side that the face's normal points to, else -1.
+    """
+
+    position: np.ndarray
+    face: np.ndarray
+    side: np.ndarray
+
+
+class Photons(NamedTuple):
+    """What landed; lengths as those of the points, power in radiance x area.
+
+    Attributes
+    ----------
+    position : (P, 3) float64
+    direction : (P, 3) unit, back along the photon's path.
+    power : (P, 3)
+    face : (P,) index into the faces.
+    """
+
+    position: np.ndarray
+    direction: np.ndarray
+    power: np.ndarray
+    face: np.ndarray
+
+
+def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, radius: float) -> np.ndarray:
+    """E by a kernel of a radius, (N, 3); unbiased for constant E on the faces within the radius.
+
+    A photon counts on the point's own object, on faces turned by less than acos(0.1), on the viewer's side.
+    """
+    shares = mass(faces, points, shape=shape, radius=radius)
+    pairs = KDTree(points.position).sparse_distance_matrix(
+        KDTree(photons.position), radius, output_type="ndarray"
+    )
+    point, photon = pairs["i"], pairs["j"]
+    landed = photons.face[photon]
+    arrival = np.einsum("px,px->p", photons.direction, faces.normals[photons.face])
+    counts = same_surface(faces, points.face[point], landed) & (arrival[photon] * points.side[point] > 0)
+    point, photon, distance = point[counts], photon[counts], pairs["v"][counts]
+    power = POWERS[shape]
+    weight = (power + 1) * (1 - (distance / radius) ** 2) ** power / (np.pi * radius**2)
+    flux = photons.power[photon] * weight[:, None]
+    sums = [np.bincount(point, flux[:, channel], len(points.face)) for channel in range(3)]
+    return np.stack(sums, axis=-1) / shares[:, None]
+
+
+def same_surface(faces: Faces, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Whether photons on the faces `other` count at points of the faces `one`, by pairs."""
+    cosine = np.einsum("px,px->p", faces.normals[one], faces.normals[other])
+    return (one == other) | ((faces.object[one] == faces.object[other]) & (cosine > MIN_NORMAL_COSINE))
+
+
+def mass(faces: Faces, points: Points, *, shape: str, radius: float) -> np.ndarray:
+    """M at the points, (N,); exact."""
+    centre = faces.corners.mean(axis=1)
+    reach = radius + np.linalg.norm(faces.corners - centre[:, None], axis=-1).max(axis=1)
+    found = KDTree(points.position).query_ball_point(centre, reach, return_sorted=False)
+    face = np.repeat(np.arange(len(centre)), [len(near) for near in found])
+    point = np.concatenate([np.asarray(near, np.int64) for near in found])
+    counts = same_surface(faces, points.face[point], face)
+    face, point = face[counts], point[counts]
+    relative = faces.corners[face] - points.position[point, None]
+    each = triangle_mass(relative, faces.normals[face], shape=shape, radius=radius)
+    return np.bincount(point, each, len(points.face))
+
+
+def triangle_mass(corners: np.ndarray, normals: np.ndarray, *, shape: str, radius: float) -> np.ndarray:
+    """∫ K(|y|) dA over triangles (T, 3, 3) relative to x, `normals` (T, 3) their unit normals; (T,), exact."""
+    power = POWERS[shape]
+    height = np.einsum("tx,tx->t", corners[:, 0], normals)
+    q = np.maximum(1 - (height / radius) ** 2, 0.0)[:, None]
+    edge = np.roll(corners, -1, axis=1) - corners
+    length = np.linalg.norm(edge, axis=-1)
+    edge = np.divide(edge, length[..., None], out=np.zeros_like(edge), where=length[..., None] > 0)
+    begin = np.einsum("tex,tex->te", corners, edge)
+    end = begin + length
+    # Signed distance of the edge's line from x0, and half of the chord that the disc cuts from that line.
+    d = np.einsum("tex,tx->te", np.cross(corners, edge), normals)
+    half = np.sqrt(np.maximum(q * radius**2 - d**2, 0.0))
+    first, last = np.clip(begin, -half, half), np.clip(end, -half, half)
+    t = (first + last)[..., None] / 2 + (last - first)[..., None] / 2 * _NODES
+    rest = q[..., None] - (d[..., None] ** 2 + t**2) / radius**2
+    inside = sum(q[..., None] ** (power - j) * rest**j for j in range(power + 1)) @ _WEIGHTS
+    flux = d * (last - first) / 2 * inside / radius**2
+    flux += q ** (power + 1) * (_angle(d, begin, end) - _angle(d, first, last))
+    return np.abs(flux.sum(axis=1)) / (2 * np.pi)
+
+
+def _angle(d: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Signed angle at x0 of the piece from `begin` to `end` of a line at distance d."""
+    return np.arctan2(d * (end - begin), d**2 + begin * end)
+
+
+def by_nearest(faces: Faces, points: Points, photons: Photons, *, nearest: int, scale: float) -> np.ndarray:
+    """E by the k nearest photons in front of the surface, (N, 3); all of them where there are fewer than k.
+
+    Biased: with scale 1 too bright by k / (k - 1), since the k-th photon lies on the rim of its own disc.
+    """
+    total = len(photons.face)
+    irradiance = np.zeros((len(points.face), 3))
+    tree = KDTree(photons.position)
+    normals = faces.normals[points.face] * points.side[:, None]
+    waiting, count = np.arange(len(points.face)), min(2 * nearest, total)
+    while count and len(waiting):
+        blocks = [
+            waiting[i : i + max(1, _CANDIDATES // count)]
+            for i in range(0, len(waiting), max(1, _CANDIDATES // count))
+        ]
+        unfinished = []
+        for block in blocks:
+            distance, photon = tree.query(points.position[block], np.arange(1, count + 1))  # type: ignore[arg-type]  a list of ranks, which the stubs do not know
+            front = np.einsum("nkx,nx->nk", photons.direction[photon], normals[block]) > 0
+            rank = np.cumsum(front, axis=1)
+            chosen = front & (rank <= nearest)
+            flux = np.einsum("nk,nkx->nx", chosen, photons.power[photon])
+            area = np.pi * np.max(distance * chosen, axis=1, keepdims=True) ** 2
+            irradiance[block] = scale * np.divide(flux, area, out=np.zeros_like(flux), where=area > 0)
+            unfinished.append(block[rank[:, -1] < nearest])
+        waiting = np.concatenate(unfinished)
+        if count == total:
+            break
+        count = min(2 * count, total)
+    return irradiance

@@ -1,0 +1,38 @@
+"""The paper's shadow rule: a point is dark where it sees the centre of no light, the light's own faces apart."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ..wavefront import shape_pointer
+
+OWN_FACES = 8  # of a light, that a ray to its centre may cross
+
+
+def rule(loaded: Any, limit: dict[str, Any]) -> Any:
+    """(si, active) -> whether the limit's rule makes a surface point dark; never, where it has none."""
+    centres = loaded.description["light_centres"] if limit["shadows"] == "paper" else []
+    if not centres:
+        return lambda si, active: mi.Bool(False)
+    scene = loaded.scenes["diffuse"]
+    shapes = scene.shapes()
+
+    def hidden(si: Any, active: Any, centre: Any, thing: int) -> Any:
+        open_lanes, blocked = mi.Bool(active), mi.Bool(False)
+        for _ in range(OWN_FACES):
+            hit = scene.ray_intersect(si.spawn_ray_to(centre), open_lanes)
+            met = open_lanes & hit.is_valid()
+            own = met & (hit.shape == shape_pointer(shapes[thing])) if thing >= 0 else mi.Bool(False)
+            blocked |= dr.select(own, False, met)
+            open_lanes = own
+            si = hit
+        return blocked
+
+    def dark(si: Any, active: Any) -> Any:
+        all_hidden = mi.Bool(True)
+        for centre, thing in centres:
+            all_hidden &= hidden(si, active, dr.opaque(mi.Point3f, centre), thing)
+        return all_hidden
+
+    return dark
