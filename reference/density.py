@@ -19,6 +19,8 @@ from scipy.spatial import KDTree
 POWERS = {"uniform": 0, "epanechnikov": 1, "simpson": 2}
 # Photons of faces turned further than acos(0.1) from the point's are another surface.
 MIN_NORMAL_COSINE = 0.1
+# Nor do faces count whose plane passes further from the point than this share of r.
+MAX_PLANE_DISTANCE = 0.1
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 _CANDIDATES = 2**22  # entries of one k-nearest search: bounds memory
 
@@ -73,7 +75,8 @@ class Photons(NamedTuple):
 def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, radius: float) -> np.ndarray:
     """E by a kernel of a radius, (N, 3); unbiased for constant E on the faces within the radius.
 
-    A photon counts on the point's own object, on faces turned by less than acos(0.1), on the viewer's side.
+    A photon counts on the point's own object, on faces turned by less than acos(0.1) whose plane passes within r / 10
+    of the point, on the viewer's side.
     """
     shares = mass(faces, points, shape=shape, radius=radius)
     pairs = KDTree(points.position).sparse_distance_matrix(
@@ -82,7 +85,9 @@ def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, rad
     point, photon = pairs["i"], pairs["j"]
     landed = photons.face[photon]
     arrival = np.einsum("px,px->p", photons.direction, faces.normals[photons.face])
-    counts = same_surface(faces, points.face[point], landed) & (arrival[photon] * points.side[point] > 0)
+    offset = photons.position[photon] - points.position[point]
+    counts = same_surface(faces, points.face[point], landed, offset, radius)
+    counts &= arrival[photon] * points.side[point] > 0
     point, photon, distance = point[counts], photon[counts], pairs["v"][counts]
     power = POWERS[shape]
     weight = (power + 1) * (1 - (distance / radius) ** 2) ** power / (np.pi * radius**2)
@@ -91,10 +96,17 @@ def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, rad
     return np.stack(sums, axis=-1) / shares[:, None]
 
 
-def same_surface(faces: Faces, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Whether photons on the faces `other` count at points of the faces `one`, by pairs."""
+def same_surface(
+    faces: Faces, one: np.ndarray, other: np.ndarray, offset: np.ndarray, radius: float
+) -> np.ndarray:
+    """Whether photons on the faces `other` count at points of the faces `one`, by pairs.
+
+    `offset` (N, 3) leads from each point to any point of the other face.
+    """
     cosine = np.einsum("px,px->p", faces.normals[one], faces.normals[other])
-    return (one == other) | ((faces.object[one] == faces.object[other]) & (cosine > MIN_NORMAL_COSINE))
+    height = np.einsum("px,px->p", offset, faces.normals[other])
+    near = (cosine > MIN_NORMAL_COSINE) & (np.abs(height) < MAX_PLANE_DISTANCE * radius)
+    return (one == other) | ((faces.object[one] == faces.object[other]) & near)
 
 
 def mass(faces: Faces, points: Points, *, shape: str, radius: float) -> np.ndarray:
@@ -104,7 +116,8 @@ def mass(faces: Faces, points: Points, *, shape: str, radius: float) -> np.ndarr
     found = KDTree(points.position).query_ball_point(centre, reach, return_sorted=False)
     face = np.repeat(np.arange(len(centre)), [len(near) for near in found])
     point = np.concatenate([np.asarray(near, np.int64) for near in found])
-    counts = same_surface(faces, points.face[point], face)
+    offset = faces.corners[face, 0] - points.position[point]
+    counts = same_surface(faces, points.face[point], face, offset, radius)
     face, point = face[counts], point[counts]
     relative = faces.corners[face] - points.position[point, None]
     each = triangle_mass(relative, faces.normals[face], shape=shape, radius=radius)

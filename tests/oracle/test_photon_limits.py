@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import reference
-from reference import backend
+from reference import backend, density
 from renderer import render
 from renderer.arrays import from_scene
 from renderer.geometry.bvh import STACK_SIZE
@@ -21,6 +21,7 @@ from reports.convergence import extrapolate
 from reports.verdict import Estimate
 from scenes import limits
 from scenes.analytic import plate
+from scenes.load import load
 from scenes.model import Camera, Material, Mesh, Object, Photons, PointLight, Scene
 
 STACK = np.empty(STACK_SIZE, np.int32)
@@ -119,6 +120,47 @@ def test_extrapolation_of_a_quadratic_irradiance(plane):
     found = extrapolate(radii, estimates)
     assert abs(found.value - 1) < 4.5 * found.standard_error
     assert estimates[0].value - 1 > 4.5 * found.standard_error
+
+
+@pytest.mark.parametrize("shape", ["uniform", "epanechnikov", "simpson"])
+def test_both_sides_make_the_same_of_the_same_photons(shape):
+    """Photons strewn over the monkey: E by the renderer and by the twin's density, to 1e-9, at points of its faces.
+
+    The two share the definition of the surface whose photons and areas count, and no code.
+    """
+    scene = from_scene(load("monkey"))
+    g = scene.geometry
+    rng = np.random.default_rng(32)
+    area = np.linalg.norm(
+        np.cross(g.corners[:, 1] - g.corners[:, 0], g.corners[:, 2] - g.corners[:, 0]), axis=1
+    )
+
+    def strewn(count: int) -> tuple[np.ndarray, np.ndarray]:
+        # As many on the small faces of the head as on the floor.
+        face = rng.choice(len(area), count, p=np.sqrt(area) / np.sqrt(area).sum())
+        return face, np.einsum("pc,pcx->px", rng.dirichlet((1, 1, 1), count), g.corners[face])
+
+    face, position = strewn(4000)
+    direction = rng.normal(size=position.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    power = rng.uniform(size=position.shape)
+    query, points = strewn(200)
+    side = rng.choice([-1.0, 1.0], len(query))
+    theirs = density.by_kernel(
+        density.faces(g.corners, g.object),
+        density.Points(points, query, side),
+        density.Photons(position, direction, power, face),
+        shape=shape,
+        radius=0.3,
+    )
+    photons = build(position, direction, power, face.astype(np.int32), 0.3, shape)
+    for i, expected in enumerate(theirs):
+        normal = Vec3(*(side[i] * g.normals[query[i]]).tolist())
+        point = Vec3(*points[i].tolist())
+        surface = Surface(point, normal, normal, int(query[i]), int(g.object[query[i]]), float(side[i]))
+        found = estimate_irradiance(scene, photons, surface, STACK)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * theirs.mean())
+    assert (theirs > 0).any(axis=1).sum() > 50
 
 
 def small_box(block: Material, *, photons: Photons) -> Scene:
