@@ -85,7 +85,11 @@ def test_a_study_by_path(tmp_path: Path):
         (VALID + '[samples]\ndirect = "16"', ["samples", "'16'", "an integer"]),
         (
             VALID + '[variants]\ndirect = ["photons"]',
-            ["variants", "'photons'", "next-event, photon-map, nearest, path, paper, paper-unweighted"],
+            [
+                "variants",
+                "'photons'",
+                "next-event, path, paper, paper-unweighted, photon-map, nearest, paper-unweighted",
+            ],
         ),
         (VALID + "[variants]\ndirect = []", ["variants", "direct = []", "next-event"]),
         (VALID + '[variants]\ndirect = ["path", "path"]', ["variants", "direct", "'path'", "twice"]),
