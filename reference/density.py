@@ -1,4 +1,4 @@
-"""Irradiance from photons: `E(x) = Σ_p Φ_p K(|x_p - x|) / M(x)`, or by the k nearest, `E(x) = s Σ_{p≤k} Φ_p / (π r_k²)`.
+"""Irradiance from photons: `E(x) = Σ_p Φ_p K(|x_p - x|) / M(x)`, or `s Σ_p Φ_p / (π r_k²)` over the k nearest.
 
 `K(d) = (m + 1) (1 - d²/r²)^m / (π r²)`, m = 0 uniform, 1 Epanechnikov, 2 Simpson; `M(x) = ∫ K(|y - x|) dA(y)` over the
 faces whose photons count at x. With x0 the foot of x on the plane of a face, h its height, `q = 1 - h²/r²` and
@@ -14,7 +14,7 @@ the angle that the rest of the edge subtends at x0.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 POWERS = {"uniform": 0, "epanechnikov": 1, "simpson": 2}
 # Photons of faces turned further than acos(0.1) from the point's are another surface.
@@ -76,8 +76,8 @@ def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, rad
     A photon counts on the point's own object, on faces turned by less than acos(0.1), on the viewer's side.
     """
     shares = mass(faces, points, shape=shape, radius=radius)
-    pairs = cKDTree(points.position).sparse_distance_matrix(
-        cKDTree(photons.position), radius, output_type="ndarray"
+    pairs = KDTree(points.position).sparse_distance_matrix(
+        KDTree(photons.position), radius, output_type="ndarray"
     )
     point, photon = pairs["i"], pairs["j"]
     landed = photons.face[photon]
@@ -101,7 +101,7 @@ def mass(faces: Faces, points: Points, *, shape: str, radius: float) -> np.ndarr
     """M at the points, (N,); exact."""
     centre = faces.corners.mean(axis=1)
     reach = radius + np.linalg.norm(faces.corners - centre[:, None], axis=-1).max(axis=1)
-    found = cKDTree(points.position).query_ball_point(centre, reach, return_sorted=False)
+    found = KDTree(points.position).query_ball_point(centre, reach, return_sorted=False)
     face = np.repeat(np.arange(len(centre)), [len(near) for near in found])
     point = np.concatenate([np.asarray(near, np.int64) for near in found])
     counts = same_surface(faces, points.face[point], face)
@@ -145,26 +145,24 @@ def by_nearest(faces: Faces, points: Points, photons: Photons, *, nearest: int, 
     """
     total = len(photons.face)
     irradiance = np.zeros((len(points.face), 3))
-    tree = cKDTree(photons.position)
     normals = faces.normals[points.face] * points.side[:, None]
+    tree = KDTree(photons.position)
     waiting, count = np.arange(len(points.face)), min(2 * nearest, total)
     while count and len(waiting):
-        blocks = [
-            waiting[i : i + max(1, _CANDIDATES // count)]
-            for i in range(0, len(waiting), max(1, _CANDIDATES // count))
-        ]
-        unfinished = []
-        for block in blocks:
-            distance, photon = tree.query(points.position[block], np.arange(1, count + 1))
+        found = np.zeros(len(waiting), bool)
+        size = max(1, _CANDIDATES // count)
+        for start in range(0, len(waiting), size):
+            block = waiting[start : start + size]
+            distance, photon = (
+                each.reshape(len(block), count) for each in tree.query(points.position[block], count)
+            )
             front = np.einsum("nkx,nx->nk", photons.direction[photon], normals[block]) > 0
             rank = np.cumsum(front, axis=1)
             chosen = front & (rank <= nearest)
             flux = np.einsum("nk,nkx->nx", chosen, photons.power[photon])
             area = np.pi * np.max(distance * chosen, axis=1, keepdims=True) ** 2
             irradiance[block] = scale * np.divide(flux, area, out=np.zeros_like(flux), where=area > 0)
-            unfinished.append(block[rank[:, -1] < nearest])
-        waiting = np.concatenate(unfinished)
-        if count == total:
-            break
+            found[start : start + size] = rank[:, -1] >= nearest
+        waiting = waiting[~found & (count < total)]
         count = min(2 * count, total)
     return irradiance
