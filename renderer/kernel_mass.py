@@ -45,17 +45,18 @@ def peak(radius: float, exponent: int) -> float:
 
 
 @device
-def same_surface(scene: SceneArrays, face: int, x: Vec3, other: int, radius: float) -> bool:
-    """Whether photons on `other` count at x, a point of `face`."""
-    if other == face:
-        return True
-    geometry = scene.geometry
-    if geometry.object[other] != geometry.object[face]:
-        return False
-    normal = vec3(geometry.normals, other)
-    if dot(normal, vec3(geometry.normals, face)) <= MIN_NORMAL_COSINE:
-        return False
-    return abs(dot(sub(vec3(geometry.corners[other], 0), x), normal)) < MAX_PLANE_DISTANCE * radius
+def same_surface(
+    objects: np.ndarray, face: int, normal: Vec3, other: int, other_normal: Vec3, offset: Vec3, radius: float
+) -> bool:
+    """Whether photons on `other` count at a point of `face`; `offset` leads from there to any point of `other`.
+
+    `objects` alone and not the scene: passed whole, the scene made the search for photons 2.5 times slower.
+    """
+    return other == face or (
+        objects[other] == objects[face]
+        and dot(other_normal, normal) > MIN_NORMAL_COSINE
+        and abs(dot(other_normal, offset)) < MAX_PLANE_DISTANCE * radius
+    )
 
 
 @device
@@ -65,6 +66,7 @@ def kernel_mass(
     """Mass of the kernel at x, a point of `face`, on all faces whose photons count there."""
     geometry = scene.geometry
     tree = geometry.tree
+    normal = vec3(geometry.normals, face)
     mass = 0.0
     size = 1
     stack[0] = 0
@@ -81,9 +83,10 @@ def kernel_mass(
         if tree.count[node] > 0:
             for i in range(tree.first[node], tree.first[node] + tree.count[node]):
                 other = entry(tree.order, i)
-                if same_surface(scene, face, x, other, radius):
-                    normal = vec3(geometry.normals, other)
-                    mass += face_mass(geometry.corners, other, normal, x, radius, exponent)
+                other_normal = vec3(geometry.normals, other)
+                offset = sub(vec3(geometry.corners[other], 0), x)
+                if same_surface(geometry.object, face, normal, other, other_normal, offset, radius):
+                    mass += face_mass(geometry.corners, other, other_normal, x, radius, exponent)
         else:
             stack[size] = tree.right[node]
             stack[size + 1] = node + 1

@@ -150,6 +150,7 @@ def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface
     x = surface.point
     radius = photons.radius
     inverse = 1.0 / (radius * radius)
+    own = vec3(geometry.normals, surface.face)
     red = 0.0
     green = 0.0
     blue = 0.0
@@ -173,10 +174,12 @@ def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface
                 if rest <= 0.0:
                     continue
                 face = entry(photons.face, p)
-                if not same_surface(scene, surface.face, x, face, radius):
+                normal = vec3(geometry.normals, face)
+                offset = Vec3(dx, dy, dz)
+                if not same_surface(geometry.object, surface.face, own, face, normal, offset, radius):
                     continue
                 wi = vec3(photons.direction, p)
-                cos = dot(wi, vec3(geometry.normals, face))
+                cos = dot(wi, normal)
                 if cos * surface.side <= 0.0:
                     continue
                 weight = falloff(rest, photons.exponent)
