@@ -83,9 +83,9 @@ def test_mass_of_a_triangle(shape):
                 density_at,
                 [0, 0],
                 [1, 1],
-                atol=tolerance / 3,
+                atol=tolerance / 3,  # type: ignore[arg-type]  the stubs ask for an int
                 rtol=0,
-                max_subdivisions=200_000,  # type: ignore[arg-type]  the stubs ask for int
+                max_subdivisions=200_000,
             )
             assert expected.status == "converged"
             assert found == pytest.approx(expected.estimate, abs=tolerance)
