@@ -35,7 +35,7 @@ def render(
     Parameters
     ----------
     scene, limit : the scene and the integral that is meant.
-    spp : samples per pixel and replicate.
+    spp : samples per pixel and replicate; with a kernel, photon maps.
     seed : equal seeds give equal bits on one backend.
     replicates : independent repetitions; the variance needs at least two.
     progress : called after each replicate.

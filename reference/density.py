@@ -1,4 +1,4 @@
-"""Irradiance from photons, `E(x) = Σ_p Φ_p K(|x_p - x|) / M(x)`, or by the k nearest, `s Σ_{p≤k} Φ_p / (π r_k²)`.
+"""Irradiance from photons: `E(x) = Σ_p Φ_p K(|x_p - x|) / M(x)`, or `s Σ_p Φ_p / (π r_k²)` over the k nearest.
 
 `K(d) = (m + 1) (1 - d²/r²)^m / (π r²)`, m = 0 uniform, 1 Epanechnikov, 2 Simpson; `M(x) = ∫ K(|y - x|) dA(y)` over the
 faces whose photons count at x. With x0 the foot of x on the plane of a face, h its height, `q = 1 - h²/r²` and
@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 POWERS = {"uniform": 0, "epanechnikov": 1, "simpson": 2}
 # Photons of faces turned further than acos(0.1) from the point's are another surface.
 MIN_NORMAL_COSINE = 0.1
-# Nor do faces count whose plane passes further from the point than this share of r.
+# So are those whose plane passes further away than this share of the radius.
 MAX_PLANE_DISTANCE = 0.1
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 _CANDIDATES = 2**22  # entries of one k-nearest search: bounds memory
@@ -75,8 +75,7 @@ class Photons(NamedTuple):
 def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, radius: float) -> np.ndarray:
     """E by a kernel of a radius, (N, 3); unbiased for constant E on the faces within the radius.
 
-    A photon counts on the point's own object, on faces turned by less than acos(0.1) whose plane passes within r / 10
-    of the point, on the viewer's side.
+    A photon counts on the point's own object, on faces of its surface (`same_surface`), on the viewer's side.
     """
     shares = mass(faces, points, shape=shape, radius=radius)
     pairs = KDTree(points.position).sparse_distance_matrix(
@@ -85,9 +84,7 @@ def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, rad
     point, photon = pairs["i"], pairs["j"]
     landed = photons.face[photon]
     arrival = np.einsum("px,px->p", photons.direction, faces.normals[photons.face])
-    offset = photons.position[photon] - points.position[point]
-    counts = same_surface(faces, points.face[point], landed, offset, radius)
-    counts &= arrival[photon] * points.side[point] > 0
+    counts = same_surface(faces, points, point, landed, radius) & (arrival[photon] * points.side[point] > 0)
     point, photon, distance = point[counts], photon[counts], pairs["v"][counts]
     power = POWERS[shape]
     weight = (power + 1) * (1 - (distance / radius) ** 2) ** power / (np.pi * radius**2)
@@ -97,16 +94,14 @@ def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, rad
 
 
 def same_surface(
-    faces: Faces, one: np.ndarray, other: np.ndarray, offset: np.ndarray, radius: float
+    faces: Faces, points: Points, point: np.ndarray, face: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Whether photons on the faces `other` count at points of the faces `one`, by pairs.
-
-    `offset` (N, 3) leads from each point to any point of the other face.
-    """
-    cosine = np.einsum("px,px->p", faces.normals[one], faces.normals[other])
-    height = np.einsum("px,px->p", offset, faces.normals[other])
-    near = (cosine > MIN_NORMAL_COSINE) & (np.abs(height) < MAX_PLANE_DISTANCE * radius)
-    return (one == other) | ((faces.object[one] == faces.object[other]) & near)
+    """Whether photons on a face count at a point, by pairs of indices: see `scenes.limits.Kernel`."""
+    its, normals = points.face[point], faces.normals[face]
+    cosine = np.einsum("px,px->p", faces.normals[its], normals)
+    distance = np.abs(np.einsum("px,px->p", faces.corners[face, 0] - points.position[point], normals))
+    near = (cosine > MIN_NORMAL_COSINE) & (distance < MAX_PLANE_DISTANCE * radius)
+    return (its == face) | ((faces.object[its] == faces.object[face]) & near)
 
 
 def mass(faces: Faces, points: Points, *, shape: str, radius: float) -> np.ndarray:
@@ -116,8 +111,7 @@ def mass(faces: Faces, points: Points, *, shape: str, radius: float) -> np.ndarr
     found = KDTree(points.position).query_ball_point(centre, reach, return_sorted=False)
     face = np.repeat(np.arange(len(centre)), [len(near) for near in found])
     point = np.concatenate([np.asarray(near, np.int64) for near in found])
-    offset = faces.corners[face, 0] - points.position[point]
-    counts = same_surface(faces, points.face[point], face, offset, radius)
+    counts = same_surface(faces, points, point, face, radius)
     face, point = face[counts], point[counts]
     relative = faces.corners[face] - points.position[point, None]
     each = triangle_mass(relative, faces.normals[face], shape=shape, radius=radius)
@@ -158,26 +152,24 @@ def by_nearest(faces: Faces, points: Points, photons: Photons, *, nearest: int, 
     """
     total = len(photons.face)
     irradiance = np.zeros((len(points.face), 3))
-    tree = KDTree(photons.position)
     normals = faces.normals[points.face] * points.side[:, None]
+    tree = KDTree(photons.position)
     waiting, count = np.arange(len(points.face)), min(2 * nearest, total)
     while count and len(waiting):
-        blocks = [
-            waiting[i : i + max(1, _CANDIDATES // count)]
-            for i in range(0, len(waiting), max(1, _CANDIDATES // count))
-        ]
-        unfinished = []
-        for block in blocks:
-            distance, photon = tree.query(points.position[block], np.arange(1, count + 1))  # type: ignore[arg-type]  a list of ranks, which the stubs do not know
+        found = np.zeros(len(waiting), bool)
+        size = max(1, _CANDIDATES // count)
+        for start in range(0, len(waiting), size):
+            block = waiting[start : start + size]
+            distance, photon = (
+                each.reshape(len(block), count) for each in tree.query(points.position[block], count)
+            )
             front = np.einsum("nkx,nx->nk", photons.direction[photon], normals[block]) > 0
             rank = np.cumsum(front, axis=1)
             chosen = front & (rank <= nearest)
             flux = np.einsum("nk,nkx->nx", chosen, photons.power[photon])
             area = np.pi * np.max(distance * chosen, axis=1, keepdims=True) ** 2
             irradiance[block] = scale * np.divide(flux, area, out=np.zeros_like(flux), where=area > 0)
-            unfinished.append(block[rank[:, -1] < nearest])
-        waiting = np.concatenate(unfinished)
-        if count == total:
-            break
+            found[start : start + size] = rank[:, -1] >= nearest
+        waiting = waiting[~found & (count < total)]
         count = min(2 * count, total)
     return irradiance

@@ -101,7 +101,9 @@ def export(
             "spp": spp,
             "seeds": [reference.rng_seed(served, seed, number) for number in range(replicates)],
         }
-    versions = {package: importlib.metadata.version(package) for package in ("mitsuba", "drjit", "numpy")}
+    versions = {
+        package: importlib.metadata.version(package) for package in ("mitsuba", "drjit", "numpy", "scipy")
+    }
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
         written = Path(temporary) / folder.name

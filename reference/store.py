@@ -6,6 +6,7 @@ whole or not at all; a file that is missing, cut short or altered is rendered ag
 
 import hashlib
 import importlib.metadata
+import io
 import json
 import math
 import sys
@@ -157,9 +158,13 @@ def _render(scene: Scene, limit: Limit, spp: int, seed: int, number: int, paths:
     images = reference.replicate_parts(scene, limit, spp=spp, seed=seed, replicate=number)
     seconds = (time.perf_counter() - begin) / len(images)
     for term, path in paths.items():
-        write_atomically(path, lambda temporary, image=images[term]: np.save(temporary, image))
-        record = json.dumps({"seconds": seconds, "sha256": _digest(path)})
+        buffer = io.BytesIO()
+        np.save(buffer, images[term])
+        content = buffer.getvalue()
+        # The image last: where it stands, its record does.
+        record = json.dumps({"seconds": seconds, "sha256": hashlib.sha256(content).hexdigest()})
         write_atomically(path.with_suffix(".json"), lambda temporary, text=record: temporary.write_text(text))
+        write_atomically(path, lambda temporary, content=content: temporary.write_bytes(content))
 
 
 def _read(path: Path, resolution: tuple[int, int]) -> tuple[np.ndarray, float] | None:

@@ -1,14 +1,15 @@
 """The twin of a photon density estimate: `color (1 - g) / π · mean over maps of E(x)`, E by a kernel or the k nearest.
 
-What the estimate's kernel does to E is part of what is meant, so its reference is the same estimate made by other
-means: photons leave Mitsuba's emitters (`sample_ray`), fly by `ray_intersect`, and are gathered by scipy's k-d tree
-(see `density`). They are independent of each other, and every map has its own. Roulette survives with
+What the kernel does to E is part of what is meant, so the reference is the same estimate made by other means: photons
+leave Mitsuba's emitters (`sample_ray`), fly by its `ray_intersect`, and are gathered by scipy's k-d tree (see
+`density`). They are independent of each other, and every map has its own. Roulette survives with
 `P = min(0.99, largest channel of the albedo)`; a survivor is scattered with cosine density.
 """
 
-# pyright: reportArgumentType=false, reportOperatorIssue=false, reportCallIssue=false
+# pyright: reportArgumentType=false, reportCallIssue=false
 # Mitsuba's stubs do not know the types of the variant in use.
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -18,7 +19,7 @@ import numpy as np
 from . import density
 from .density import Faces, Photons, Points
 from .terms import direct
-from .wavefront import camera_samples, pixel_means
+from .wavefront import camera_samples, pixel_means, shape_pointer
 
 MAX_SURVIVAL = 0.99
 PHOTONS = 2**16  # of a map whose mean does not depend on the count
@@ -27,25 +28,27 @@ POINTS = 2**14  # gathered together: bounds memory
 
 
 class Surfaces(NamedTuple):
-    """The faces of a scene, and tables by the number that Dr.Jit gives a shape; 0 is none, and black.
+    """The triangles of a Mitsuba scene in one list, at the canonical scale.
 
     Attributes
     ----------
-    faces : triangles at the canonical scale.
-    first : mi.UInt32, number of a shape's first face.
-    albedo : mi.Color3f, `color (1 - g)` of a shape.
+    scene : mi.Scene
+    first : (O,) number of each shape's first face.
+    faces : the triangles.
+    albedo : (F + 1, 3), `color (1 - g)` of each face; the last, black, is that of a miss.
     """
 
+    scene: Any
+    first: np.ndarray
     faces: Faces
-    first: Any
-    albedo: Any
+    albedo: np.ndarray
 
 
 def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.ndarray:
     """Mean over `spp` photon maps with one camera ray a pixel each, (1, H, W, 3) float64.
 
-    Its expectation is exactly the limit's, whatever `spp`: of `passes` radii each has the same share of the maps, or
-    the same chance to be among them.
+    Its expectation is the limit's exactly, whatever `spp`: the radii of the passes have equal shares of the maps, or
+    equal chances to be among them.
 
     Raises
     ------
@@ -57,167 +60,195 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
         raise ValueError(f"shadows = {limit['shadows']!r} with a photon kernel: allowed is 'physical'")
     if limit["scope"] != "all":
         raise ValueError(f"scope = {limit['scope']!r} with a photon kernel: allowed is 'all'")
-    for name, shape in description["scenes"]["direct"].items():
-        if not isinstance(shape, bool | str) and not shape.get("face_normals", True):
+    for name, item in description["scenes"]["direct"].items():
+        if isinstance(item, dict) and not item.get("face_normals", True):
             raise ValueError(f"{name} has interpolated normals: allowed with a photon kernel are flat ones")
     width, height = description["camera"]["resolution"]
     image = np.zeros((height * width, 3))
-    if description["has_lights"]:
-        surfaces = _surfaces(loaded.scenes["direct"])
-        for number in range(spp):
-            _add_map(loaded, surfaces, kernel, number, spp, seed, image)
+    if not description["has_lights"]:
+        return image.reshape(1, height, width, 3)
+    surfaces = surfaces_of(loaded.scenes["direct"])
+    for number in range(spp):
+        rng = np.random.default_rng((seed, number))
+        radius = pass_radius(kernel, (number + rng.random()) / spp) * description["scale"]
+        photons = trace(
+            surfaces,
+            rng,
+            count=kernel["photons"] if kernel["shape"] == "nearest" else PHOTONS,
+            first_hits=kernel["stored"] == "all",
+            weighted=kernel["weighted"],
+        )
+        origin, direction = _camera_rays(description["camera"], number, spp, seed)
+        points = _hits(surfaces, origin, direction)
+        seen = np.flatnonzero(surfaces.albedo[points.face].any(axis=1))
+        for start in range(0, len(seen), POINTS):
+            block = seen[start : start + POINTS]
+            here = Points(*(column[block] for column in points))
+            irradiance = _irradiance(kernel, radius, surfaces.faces, here, photons)
+            image[block] += surfaces.albedo[here.face] * irradiance
     image = image.reshape(1, height, width, 3) / (np.pi * spp)
-    if kernel["stored"] == "scattered" and description["has_lights"]:
-        radiance = direct.reflected(loaded.scenes["direct"], direct.FIRST_HIT)
+    if kernel["stored"] == "scattered":
+        radiance = direct.reflected(surfaces.scene, direct.FIRST_HIT)
         image += pixel_means(
             lambda samples: (radiance(samples.ray, samples.sampler, True),),
             description["camera"],
-            spp=spp * LIGHT_SAMPLES,
+            spp=spp * (LIGHT_SAMPLES if dr.is_jit_v(mi.Float) else 1),
             seed=seed,
         )
     return image
 
 
-def _add_map(
-    loaded: Any,
-    surfaces: Surfaces,
-    kernel: dict[str, Any],
-    number: int,
-    maps: int,
-    seed: int,
-    image: np.ndarray,
-) -> None:
-    """Add `color (1 - g) E` by map `number` of `maps` to the pixels (H W, 3)."""
-    by_radius = kernel["shape"] != "nearest"
-    photons = trace(
-        loaded.scenes["direct"],
-        surfaces,
-        count=PHOTONS if by_radius else kernel["photons"],
-        first_hits=kernel["stored"] == "all",
-        weighted=kernel["weighted"],
-        seed=(seed + number) % 2**32,
-    )
-    radius = pass_radius(kernel, number, maps, seed) * loaded.description["scale"]
-    pixel, albedo, points = _points(loaded, surfaces, number, maps, seed)
-    for first in range(0, len(pixel), POINTS):
-        some = slice(first, first + POINTS)
-        here = Points(*(column[some] for column in points))
-        if by_radius:
-            irradiance = density.by_kernel(
-                surfaces.faces, here, photons, shape=kernel["shape"], radius=radius
-            )
-        else:
-            irradiance = density.by_nearest(
-                surfaces.faces, here, photons, nearest=kernel["nearest"], scale=kernel["scale"]
-            )
-        image[pixel[some]] += albedo[some] * irradiance
-
-
-def pass_radius(kernel: dict[str, Any], number: int, maps: int, seed: int) -> float:
-    """Radius of map `number` of `maps`, in scene units: that of pass `floor((number + U) passes / maps)`, U uniform."""
-    uniform = np.random.default_rng((seed, number)).random()
-    i = np.arange(1, int((number + uniform) * kernel["passes"] / maps) + 1)
+def pass_radius(kernel: dict[str, Any], fraction: float) -> float:
+    """Radius of the pass that stands at a fraction in [0, 1) of all, in scene units."""
+    i = np.arange(1, int(fraction * kernel["passes"]) + 1)
     return kernel["radius"] * float(np.sqrt(np.prod((i + 2 / 3) / (i + 1))))
 
 
-def _surfaces(scene: Any) -> Surfaces:
-    shapes = scene.shapes()
-    vertices = [np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3) for shape in shapes]
-    corners = [
-        points[np.array(shape.faces_buffer()).reshape(-1, 3)]
-        for points, shape in zip(vertices, shapes, strict=True)
-    ]
-    counts = [len(each) for each in corners]
-    registered = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()))
-    first = np.zeros(registered.max() + 1, np.uint32)
-    first[registered] = np.cumsum([0, *counts[:-1]])
-    albedo = np.zeros((registered.max() + 1, 3))
+def _irradiance(
+    kernel: dict[str, Any], radius: float, faces: Faces, points: Points, photons: Photons
+) -> np.ndarray:
+    if kernel["shape"] == "nearest":
+        return density.by_nearest(faces, points, photons, nearest=kernel["nearest"], scale=kernel["scale"])
+    return density.by_kernel(faces, points, photons, shape=kernel["shape"], radius=radius)
+
+
+def surfaces_of(scene: Any) -> Surfaces:
+    """Read the triangles and their albedos back from a scene of diffuse meshes."""
     frontal = dr.zeros(mi.SurfaceInteraction3f)
     frontal.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    albedo[registered] = [
-        np.array(shape.bsdf().eval_diffuse_reflectance(frontal)).ravel() for shape in shapes
-    ]
-    faces = density.faces(np.concatenate(corners), np.repeat(np.arange(len(shapes)), counts))
-    return Surfaces(faces, mi.UInt32(first), mi.Color3f(albedo.T))
-
-
-def _meets(surfaces: Surfaces, si: Any) -> tuple[Any, Any]:
-    """Albedo at an intersection, black on a miss, and the number of its face."""
-    shape = dr.reinterpret_array(mi.UInt32, si.shape)
-    return dr.gather(mi.Color3f, surfaces.albedo, shape), dr.gather(
-        mi.UInt32, surfaces.first, shape
-    ) + si.prim_index
-
-
-def _points(
-    loaded: Any, surfaces: Surfaces, number: int, maps: int, seed: int
-) -> tuple[np.ndarray, np.ndarray, Points]:
-    """Pixels (N,) whose ray of a map meets what is not black, the albedo there (N, 3), and the points."""
-    width, height = loaded.description["camera"]["resolution"]
-    pixel = dr.arange(mi.UInt32, width * height)
-    index, count, shift = (dr.opaque(mi.UInt32, value) for value in (number, maps, seed))
-    ray = camera_samples(loaded.description["camera"], pixel, index, count, shift, None).ray
-    si = loaded.scenes["direct"].ray_intersect(ray)
-    albedo, face = _meets(surfaces, si)
-    towards = dr.dot(si.n, ray.d)
-    dr.eval(si.p, albedo, face, towards)
-    color = np.array(albedo, np.float64).T
-    seen = np.flatnonzero(color.any(axis=1))
-    side = np.where(np.array(towards)[seen] <= 0.0, 1.0, -1.0)
-    return seen, color[seen], Points(np.array(si.p, np.float64).T[seen], np.array(face, np.int64)[seen], side)
+    corners, albedo = [], []
+    for shape in scene.shapes():
+        vertices = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
+        corners.append(vertices[np.array(shape.faces_buffer(), np.int64).reshape(-1, 3)])
+        albedo.append(np.array(shape.bsdf().eval_diffuse_reflectance(frontal), np.float64).reshape(3))
+    counts = [len(each) for each in corners]
+    owner = np.repeat(np.arange(len(counts)), counts)
+    faces = density.faces(np.concatenate(corners), owner)
+    return Surfaces(
+        scene, np.cumsum([0, *counts[:-1]]), faces, np.array([*albedo, np.zeros(3)])[[*owner, -1]]
+    )
 
 
 def trace(
-    scene: Any, surfaces: Surfaces, *, count: int, first_hits: bool, weighted: bool, seed: int
+    surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hits: bool, weighted: bool
 ) -> Photons:
     """Photons that land on what is not black, of `count` that the emitters send out; power is flux / count.
 
     Parameters
     ----------
     first_hits : whether photons that come straight from a light are kept.
-    weighted : whether a survivor of the roulette is multiplied by albedo / P: light scattered with the albedo. Without,
-        with the grey albedo P.
-    seed : 32 bits; with the photon's number it names its random numbers.
+    weighted : whether a survivor of the roulette is multiplied by albedo / P, so that the flux is that of the light;
+        without, it is that of light scattered with the grey albedo P.
     """
-    state, sequence = mi.sample_tea_32(dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, seed))
-    rng = mi.PCG32(size=count, initstate=state, initseq=sequence)
-    ray, flux = _emit(scene, rng, count)
+    origin, direction, power = _emitted(surfaces.scene, rng, count)
     landed = [Photons(*np.zeros((3, 0, 3)), np.zeros(0, np.int64))]
     kept = first_hits
-    while dr.width(flux):
-        si = scene.ray_intersect(ray)
-        albedo, face = _meets(surfaces, si)
-        survival = dr.minimum(dr.max(albedo), MAX_SURVIVAL)
-        local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
-        onward = si.spawn_ray(si.to_world(dr.mulsign(local, si.wi.z)))
-        scattered = flux * albedo / survival if weighted else flux
-        survives = rng.next_float32() < survival
-        dr.eval(si.p, face, survival, onward, scattered, survives, rng)
+    while len(origin):
+        hit = _hits(surfaces, origin, direction)
+        albedo = surfaces.albedo[hit.face]
+        survival = np.minimum(albedo.max(axis=1), MAX_SURVIVAL)
         if kept:
-            here = np.array(survival) > 0.0
-            columns = (np.array(column, np.float64).T[here] for column in (si.p, -ray.d, flux))
-            landed.append(Photons(*columns, np.array(face, np.int64)[here]))
+            here = survival > 0.0
+            landed.append(Photons(hit.position[here], -direction[here], power[here], hit.face[here]))
         kept = True
-        alive = dr.compress(survives)
-        ray, flux, rng = (dr.gather(type(each), each, alive) for each in (onward, scattered, rng))
-        dr.eval(ray, flux, rng)
+        alive = rng.random(len(origin)) < survival
+        normal = surfaces.faces.normals[hit.face[alive]] * hit.side[alive, None]
+        origin = _offset(hit.position[alive], normal)
+        direction = _cosine_distributed(normal, rng.random((len(normal), 2)))
+        power = power[alive]
+        if weighted:
+            power = power * albedo[alive] / survival[alive, None]
     return Photons(*(np.concatenate(column) for column in zip(*landed, strict=True)))
 
 
-def _emit(scene: Any, rng: Any, count: int) -> tuple[Any, Any]:
-    """Ray and flux of each of `count` photons; emitters are chosen in proportion to the mean channel of their power."""
-    middle = mi.Point2f(0.5, 0.5)
-    # The weight of any ray is the whole power: every emitter is uniform over its surface and its directions.
-    power = [np.mean(emitter.sample_ray(0.0, 0.5, middle, middle)[1]) for emitter in scene.emitters()]
-    choice = mi.DiscreteDistribution(mi.Float(np.array(power, np.float32)))
-    number, probability = choice.sample_pmf(rng.next_float32())
-    position = mi.Point2f(rng.next_float32(), rng.next_float32())
-    direction = mi.Point2f(rng.next_float32(), rng.next_float32())
-    ray, flux = dr.zeros(mi.Ray3f, count), dr.zeros(mi.Color3f, count)
-    # One by one: a call through pointers would compile every emitter that exists, skies written in Python too.
-    for index, emitter in enumerate(scene.emitters()):
-        chosen = number == index
-        its_ray, its_power = emitter.sample_ray(0.0, 0.5, position, direction)
-        ray = dr.select(chosen, mi.Ray3f(its_ray), ray)
-        flux = dr.select(chosen, its_power, flux)
-    return ray, flux / (probability * dr.opaque(mi.Float, count))
+def _offset(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Where Mitsuba lets a ray start that leaves a surface, lest it meets it again."""
+    return position + normal * (1.0 + np.abs(position).max(axis=1, keepdims=True)) * mi.math.RayEpsilon
+
+
+def _cosine_distributed(normal: np.ndarray, uniform: np.ndarray) -> np.ndarray:
+    """Unit directions (N, 3) of density cosine / π about the normals, from `uniform` (N, 2)."""
+    z, azimuth = 1.0 - 2.0 * uniform[:, 0], 2.0 * np.pi * uniform[:, 1]
+    ring = np.sqrt(1.0 - z * z)
+    # The normal plus a point of the unit sphere: the chord from a pole to uniform area has cosine density.
+    chord = normal + np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
+    length = np.linalg.norm(chord, axis=1, keepdims=True)
+    return np.where(length > 0.0, chord / np.where(length > 0.0, length, 1.0), normal)
+
+
+def _emitted(scene: Any, rng: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:
+    """Origin, direction and power (count, 3) of photons; emitters are chosen by the mean channel of their power."""
+
+    def emit(emitter: Any, uniform: np.ndarray) -> list[np.ndarray]:
+        def sample(position: Any, direction: Any) -> tuple[Any, ...]:
+            ray, power = emitter.sample_ray(0.0, 0.5, position, direction)
+            return ray.o, ray.d, power
+
+        return _each(sample, uniform[:, :2], uniform[:, 2:])
+
+    # The weight of any ray is the emitter's whole power: ours are uniform over their surface and directions.
+    total = np.array([emit(emitter, np.full((1, 4), 0.5))[2].mean() for emitter in scene.emitters()])
+    share = total / total.sum()
+    chosen = np.sort(rng.choice(len(share), count, p=share))
+    uniform = rng.random((count, 4))
+    rays = [
+        emit(emitter, uniform[chosen == number])
+        for number, emitter in enumerate(scene.emitters())
+        if (chosen == number).any()
+    ]
+    origin, direction, power = (np.concatenate(column) for column in zip(*rays, strict=True))
+    return origin, direction, power / (count * share[chosen, None])
+
+
+def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> Points:
+    """Where rays (N, 3) meet a surface, seen from their origin; face -1 on a miss."""
+    shapes = [
+        (shape_pointer(shape), int(first))
+        for shape, first in zip(surfaces.scene.shapes(), surfaces.first, strict=True)
+    ]
+
+    def intersect(origin: Any, direction: Any) -> tuple[Any, ...]:
+        si = surfaces.scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(direction)))
+        face = mi.Int32(-1)
+        for shape, first in shapes:
+            face = dr.select(si.shape == shape, mi.Int32(si.prim_index) + first, face)
+        return si.p, face
+
+    position, number = _each(intersect, origin, direction)
+    face = number.astype(np.int64)
+    facing = np.einsum("nx,nx->n", direction, surfaces.faces.normals[face]) <= 0.0
+    return Points(position, face, np.where(facing, 1.0, -1.0))
+
+
+def _camera_rays(camera: dict[str, Any], number: int, maps: int, seed: int) -> tuple[np.ndarray, ...]:
+    """Origins and directions (H W, 3) of a map's camera rays; over the maps they are spread in the pixel."""
+    index, count, shift = (dr.opaque(mi.UInt32, value) for value in (number, maps, seed))
+
+    def ray(pixel: Any) -> tuple[Any, Any]:
+        samples = camera_samples(camera, pixel, index, count, shift, None)
+        return samples.ray.o, samples.ray.d
+
+    width, height = camera["resolution"]
+    return tuple(_each(ray, np.arange(width * height)))
+
+
+def _each(function: Callable[..., tuple[Any, ...]], *columns: np.ndarray) -> list[np.ndarray]:
+    """Outputs (N,) or (N, d) float64 of a function of Mitsuba's values, for rows (N,) or (N, d) of its arguments.
+
+    All rows at once; one by one in a variant that has no lanes.
+    """
+    components = [np.atleast_2d(column.T) for column in columns]
+    kinds = [{1: mi.UInt32, 2: mi.Point2f, 3: mi.Point3f}[len(each)] for each in components]
+
+    def outputs(*values: Any) -> list[np.ndarray]:
+        # By components: from a whole array Dr.Jit would make code that holds its length, and compile it for each.
+        results = function(*(kind(*each) for kind, each in zip(kinds, values, strict=True)))
+        dr.eval(results)
+        return [np.array(result, np.float64).T for result in results]
+
+    if dr.is_jit_v(mi.Float):
+        count = len(columns[0])
+        # What is the same for all rows comes back as one.
+        return [np.broadcast_to(each, (count, *each.shape[1:])) for each in outputs(*components)]
+    rows = [outputs(*row) for row in zip(*(each.T.tolist() for each in components), strict=True)]
+    return [np.array(column) for column in zip(*rows, strict=True)]

@@ -46,6 +46,7 @@ MAX_SURVIVAL = 0.99
 _CHUNK = 4096
 _STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pixel
 _VERTEX = 16  # keys of a photon's vertices: beyond the pairs of its emission
+_PHOTON = 1 << 32  # keys of photons that have a sequence each: beyond those of the vertices
 _ROULETTE, _DIRECTION, _LOBE = 0, 1, 2
 
 
@@ -57,11 +58,24 @@ class Scattering(NamedTuple):
     survival : P, at most MAX_SURVIVAL of it; 0: the largest channel of what the photon would carry on.
     weighted : whether survivors are multiplied by weight / P.
     full : whether they scatter on the specular lobe too.
+    independent : whether each photon has randomness of its own. Else all photons of a map share one low-discrepancy
+        sequence: less noise in a sum over them, but they land too evenly for a search of the k nearest, whose k-th
+        photon then stands too far (k = 50 of 16384 under a point light: E comes out 1.004 and not k / (k - 1) = 1.020
+        times too bright).
     """
 
     survival: float
     weighted: bool
     full: bool
+    independent: bool
+
+
+@device
+def _sampler(rule: Scattering, key: np.uint64, index: int) -> Sampler:
+    """Randomness of a photon: its place in the sequence of all photons, or a sequence of its own."""
+    if rule.independent:
+        return Sampler(fold(key, _PHOTON + index), np.uint32(0))
+    return Sampler(key, np.uint32(index))
 
 
 @device
@@ -147,7 +161,7 @@ def _trace_photons(
     stack = np.empty(STACK_SIZE, np.int32)
     landed = 0
     for index in range(first, last):
-        origin, heading, flux, origin_face = _emit(scene, Sampler(key, np.uint32(index)))
+        origin, heading, flux, origin_face = _emit(scene, _sampler(rule, key, index))
         depth = 0
         while not is_black(flux):
             surface = trace(scene, make_ray(origin, heading), origin_face, stack)
@@ -167,7 +181,7 @@ def _trace_photons(
                     face[landed] = surface.face
                 landed += 1
             depth += 1
-            branch = Sampler(fold(key, _VERTEX + depth), np.uint32(index))
+            branch = _sampler(rule, fold(key, _VERTEX + depth), index)
             heading, factor = _scatter(scene, rule, surface, branch)
             flux = mul(flux, factor)
             origin = surface.point

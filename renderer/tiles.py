@@ -159,11 +159,13 @@ class Engine:
     ) -> photon_map.PhotonMap:
         """The map of pass `index`."""
         photons = self.scene.photons
+        kernel = variant.kernel(self.scene, 1)
         rule = photon_tracing.Scattering(
             survival=photons.survival or 0.0,
             weighted=stored != "unweighted",
             # The operator of a specular chain means diffuse scattering.
             full=photons.scattering == "full" and variant.term == "direct",
+            independent=kernel is not None and kernel.shape == "nearest",
         )
         return photon_tracing.emit(
             self.arrays,

@@ -20,7 +20,7 @@ from renderer.vector import Vec3
 from reports.convergence import extrapolate
 from reports.verdict import Estimate
 from scenes import limits
-from scenes.analytic import plate
+from scenes.analytic import plate, unit_sphere
 from scenes.load import load
 from scenes.model import Camera, Material, Mesh, Object, Photons, PointLight, Scene
 
@@ -237,3 +237,19 @@ def test_photons_that_scatter_fully_against_mitsuba(variant, glossy_box, full_tr
     assert (np.abs(ours.mean(axis=0) - exact) < 4.5 * error + 0.005 * exact).all()
     assert (4.5 * error < 0.015 * exact).all()
     assert (exact - without > 0.05 * exact).all()
+
+
+@pytest.mark.parametrize(("variant", "factor"), [("paper", 10 / 9), ("nearest", 1.0)])
+def test_nearest_photons_in_a_sphere(variant, factor):
+    """A point light at the centre of a black-walled sphere: E = I, and `n / (k - 1)` is the mean density, exactly.
+
+    The chord r cuts a cap of area pi r² from a sphere, so no curvature enters. It needs photons that land independently
+    of each other: spread evenly, as by one low-discrepancy sequence, they would give 1.06 in place of 1.11.
+    """
+    scene = unit_sphere(albedo=1e-3, intensity=np.pi, subdivisions=4)
+    scene = attrs.evolve(scene, photons=Photons(count=4000, nearest=10), resolution=(8, 8))
+    image = render(scene, "direct", variant=variant, samples=16, replicates=16, seed=5)
+    expected = factor * 1e-3  # rho E / pi
+    error = np.sqrt(image.variance.mean() / 16)  # views share maps: some of the pixels are one
+    assert error < 0.006 * expected
+    assert image.mean.mean() == pytest.approx(expected, abs=4.5 * error + 3e-3 * expected)

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,32 +11,47 @@ import pytest
 import reference
 from reference.export import export
 from reference.native import fetched_folder
-from scenes.limits import Limit, correct, physical
+from scenes.limits import Kernel, Limit, correct, physical
 from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky
 
 
-def test_exported_script_reproduces_the_bits(tmp_path):
+def wall(*, smooth: bool) -> Scene:
     corners = [[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0], [-2, 2, 2], [2, 2, 2]]
-    wall = Object(
+    thing = Object(
         "wall",
-        Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3], [3, 2, 5], [3, 5, 4]], smooth=True),
+        Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3], [3, 2, 5], [3, 5, 4]], smooth=smooth),
         Material(gloss=0.3),
     )
     texture = np.random.default_rng(0).random((4, 8, 3)).astype(np.float32)
-    scene = Scene(
+    return Scene(
         "wall",
         Camera(position=(2.0, -2.0, 2.0), target=(0.0, 0.0, 0.0)),
-        (wall,),
+        (thing,),
         lights=(PointLight((0.0, 0.0, 1.0), (1.0, 1.0, 1.0)),),
         ambient=Ambient((1.0, 1.0, 1.0), range=1.0),
         sky=Sky(texture=texture, radius=9.0),
         resolution=(12, 8),
     )
+
+
+def test_exported_script_reproduces_the_bits(tmp_path):
     limits = {
         "ambient": Limit("ambient", factor=np.pi),
         "specular": correct("specular", "all"),
         "physical-direct": physical("direct"),
     }
+    assert_reproduced(wall(smooth=True), limits, tmp_path)
+
+
+def test_exported_photon_maps_reproduce_the_bits(tmp_path):
+    limits = {
+        "kernel": Limit("direct", scope="all", kernel=Kernel("simpson", "scattered", radius=0.5, passes=3)),
+        "nearest": Limit("direct", scope="all", kernel=Kernel("nearest", nearest=5, photons=500)),
+    }
+    assert_reproduced(wall(smooth=False), limits, tmp_path)
+
+
+def assert_reproduced(scene: Scene, limits: dict[str, Limit], tmp_path: Path) -> None:
     folder = tmp_path / "exported"
     export(scene, limits, folder, spp=3, seed=5, replicates=2)
     outside = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}

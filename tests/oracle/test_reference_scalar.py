@@ -11,7 +11,7 @@ import pytest
 
 import reference
 from reference import backend
-from scenes.limits import correct, physical
+from scenes.limits import Kernel, Limit, correct, physical
 from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky
 from scenes.store import PROJECT
 
@@ -19,6 +19,7 @@ LIMITS = {
     "ambient": correct("ambient", "all"),
     "direct": correct("direct", "first-hit"),
     "point": correct("direct", "all"),
+    "photons": Limit("direct", scope="all", kernel=Kernel("nearest", nearest=10, photons=500)),
     "specular": correct("specular", "first-hit"),
     "background": correct("background", "all"),
     "physical": physical("direct"),
@@ -66,7 +67,7 @@ def means(spp: int) -> dict[str, list[list[float]]]:
 
 @pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="there is nothing to compare with")
 def test_scalar_agrees_with_the_vectorised_backend():
-    """Two-sample z per channel over 8 replicates each, at the level that 18 tests need."""
+    """Two-sample z per channel over 8 replicates each, at the level that 21 tests need."""
     done = subprocess.run(
         [sys.executable, __file__],
         env=os.environ | {"TERMWISE_BACKEND": "scalar_rgb", "PYTHONPATH": str(PROJECT)},

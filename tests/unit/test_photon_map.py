@@ -418,7 +418,7 @@ def emitted(
             count=count,
             radius=0.2,
             shape="simpson",
-            rule=Scattering(survival, weighted, full),
+            rule=Scattering(survival, weighted, full, independent=False),
             first_hits=first_hits,
             pool=pool,
         )

@@ -88,7 +88,7 @@ def test_a_study_by_path(tmp_path: Path):
             [
                 "variants",
                 "'photons'",
-                "next-event, path, paper, paper-unweighted, photon-map, nearest, paper-unweighted",
+                "next-event, path, paper, paper-unweighted, photon-map, nearest",
             ],
         ),
         (VALID + "[variants]\ndirect = []", ["variants", "direct = []", "next-event"]),
