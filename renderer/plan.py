@@ -65,11 +65,14 @@ def check(scene: Scene, variant: Variant) -> None:
     """
     scattering = scene.photons.scattering
     if scattering == "full" and scene.shadows == "paper":
-        raise ValueError("photons.scattering = 'full': allowed is 'diffuse' with shadows = 'paper'")
+        raise ValueError(
+            f"{scene.name}: photons.scattering = 'full': allowed is 'diffuse' with shadows = 'paper'"
+        )
     if scattering not in variant.scatterings:
         allowed = " or ".join(map(repr, variant.scatterings))
         raise ValueError(
-            f"photons.scattering = {scattering!r}: allowed is {allowed} for {variant.term} {variant.name}"
+            f"{scene.name}: photons.scattering = {scattering!r}: allowed is {allowed} for {variant.term} "
+            f"{variant.name}"
         )
 
 

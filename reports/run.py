@@ -22,7 +22,7 @@ import attrs
 import numpy as np
 
 from reference import backend, store
-from renderer.plan import plan, skipped
+from renderer.plan import check, plan, skipped
 from renderer.terms import VARIANTS, Variant
 from renderer.tiles import Engine
 from reports import cells, closed_forms, exact, images, metrics, verdict
@@ -101,8 +101,13 @@ def own_limit(study: Study, scene: Scene, variant: Variant) -> Limit:
     """What a variant is judged against: its twin where it estimates a density and the study renders twins."""
     samples = study.samples_of(variant)
     limit, kernel = variant.limit(scene, samples), variant.kernel(scene, samples)
-    has_twin = study.twin_maps is not None and limit.transport == "decomposed" and limit.shadows == "physical"
-    return attrs.evolve(limit, kernel=kernel) if kernel is not None and has_twin else limit
+    if study.twin_maps is None or kernel is None:
+        return limit
+    # The twin scatters diffusely, knows no shadow rule, and its roulette decides how densely the nearest photons lie.
+    photons = scene.photons
+    served = photons.scattering == "diffuse" and scene.shadows == "physical"
+    served &= photons.survival is None or kernel.shape != "nearest"
+    return attrs.evolve(limit, kernel=kernel) if served else limit
 
 
 def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
@@ -153,6 +158,10 @@ def measure(
     dict
         What `results.json` holds.
     """
+    for scene in scenes:
+        for term in TERMS:
+            for variant in variants_of(study, scene, term):
+                check(scene, variant)
     chosen = backend.choose()
     waiting: list[_Row] = []
     described: dict[str, Any] = {}

@@ -49,7 +49,7 @@ def _chain(
     ray = mi.Ray3f(samples.ray)
     si = scene.ray_intersect(ray)
     active = mi.Bool(si.is_valid())
-    active &= ~dark(si, active)
+    active = dr.select(dark(si, active), False, active)
     throughput = mi.Color3f(1.0)
     color = mi.Color3f(0.0)
     depth = mi.UInt32(0)
@@ -69,7 +69,7 @@ def _chain(
         kept_weight = dr.select(here, throughput, kept_weight)
         kept |= here
         depth += 1
-        active &= (depth < last) & ~dark(si, active)
+        active = dr.select(dark(si, active), False, active & (depth < last))
     return color, kept_ray, kept_weight, kept
 
 

@@ -48,7 +48,8 @@ def take(engine: Recorder, folder: Path, **changes: Any) -> cells.Cell:
     settings = {"samples": SAMPLES, "replicates": REPLICATES, "seed": 1, "chain": "path"} | changes
     variant: Any = VARIANTS["ambient"]["cosine"]
     taken: Any = engine
-    return cells.cell(taken, variant, folder=folder, progress=lambda: None, **settings)
+    own = variant.limit(engine.scene, SAMPLES)
+    return cells.cell(taken, variant, own=own, folder=folder, progress=lambda: None, **settings)
 
 
 def files(folder: Path) -> list[Path]:

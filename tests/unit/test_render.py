@@ -199,7 +199,9 @@ def test_full_scattering_is_refused_where_it_would_be_ignored(variant):
     scene = attrs.evolve(unit_sphere(), photons=Photons(scattering="full"))
     with pytest.raises(ValueError, match="allowed") as caught:
         render(scene, "direct", variant=variant)
-    assert str(caught.value) == (f"photons.scattering = 'full': allowed is 'diffuse' for direct {variant}")
+    assert str(caught.value) == (
+        f"{scene.name}: photons.scattering = 'full': allowed is 'diffuse' for direct {variant}"
+    )
 
 
 def test_kernels_that_rows_name():
