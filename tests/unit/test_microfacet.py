@@ -234,10 +234,10 @@ MEANS = {
 
 @pytest.mark.parametrize("estimator", MEANS, ids=("uniform", "paper", "paper-literal"))
 @pytest.mark.parametrize(("alpha", "mu_o", "expected"), FURNACE[1:])
-def test_jittered_estimators_have_their_mean(estimator, alpha, mu_o, expected, compiled):
+def test_jittered_estimators_have_their_mean(estimator, alpha, mu_o, expected):
     """The mean of the weight over the unit square, by the midpoint rule, against SciPy's quadrature of the integral."""
     lobe_factor, cosine = MEANS[estimator]
-    n = 160 if compiled else 60
+    n = 160
     x = (np.arange(n) + 0.5) / n
     wo = direction(mu_o)
     mean = np.mean(
@@ -252,7 +252,7 @@ def test_jittered_estimators_have_their_mean(estimator, alpha, mu_o, expected, c
         math.pi,
         epsabs=1e-5,
     )[0]
-    assert mean == pytest.approx(lobe_factor * exact, rel=2e-3 if compiled else 1e-2)
+    assert mean == pytest.approx(lobe_factor * exact, rel=2e-3)
 
 
 @pytest.mark.parametrize("rings", [1, 5, 16])
