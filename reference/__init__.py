@@ -111,7 +111,7 @@ def shared(scene: Scene, limit: Limit) -> Limit:
     scope = limit.scope or scene.scope
     if term == "direct":
         return Limit(term, scope=scope, kernel=limit.kernel, shadows=limit.shadows)
-    return attrs.evolve(limit, scope=scope, factor=1.0, kernel=None)
+    return attrs.evolve(limit, scope=scope, factor=1.0)
 
 
 def rng_seed(limit: Limit, seed: int, replicate: int) -> int:

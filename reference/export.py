@@ -21,6 +21,7 @@ from scenes.store import PROJECT
 
 SOURCES = (
     "wavefront.py",
+    "rays.py",
     "prepare.py",
     "film.py",
     "twin.py",

@@ -1,7 +1,8 @@
 """The paper's sky: `u = atan2(n.x, n.y) / (2π) + 1/2, v = 1/2 - n.z / 2`.
 
 A ray that misses is intersected with a sphere; n, the unit vector from its centre to the farther hit, looks the
-texture up, bilinearly, u repeating and v clamped. Without a texture the sky is one colour.
+texture up, bilinearly, u repeating and v clamped. Without a texture the sky is one colour. As settings of the scene:
+`v = acos(n.z) / π` (lat-long), and an infinite sphere, n being the ray's direction.
 """
 
 # pyright: reportCallIssue=false
@@ -13,12 +14,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .wavefront import UNBOUNDED
+
 
 class Lookup:
     """The texture of the sky as a function of the direction n from the sphere's centre."""
 
-    def __init__(self, texels: np.ndarray) -> None:
-        """Take (H, W, 3) float32 texels."""
+    def __init__(self, texels: np.ndarray, projection: str) -> None:
+        """Take (H, W, 3) float32 texels and the scene's projection."""
+        self._equal_area = projection == "equal-area"
         # Dr.Jit wraps u and v alike: clamping both, with the first and last columns repeated, makes u periodic.
         padded = np.concatenate([texels[:, -1:], texels, texels[:, :1]], axis=1)
         self._width = dr.opaque(mi.Float, texels.shape[1])
@@ -33,7 +37,10 @@ class Lookup:
     def __call__(self, normal: Any, active: Any = True) -> Any:
         """Radiance in the unit direction `normal`, mi.Color3f."""
         u = dr.atan2(normal.x, normal.y) * (0.5 * dr.inv_pi) + 0.5
-        v = 0.5 - 0.5 * normal.z
+        if self._equal_area:
+            v = 0.5 - 0.5 * normal.z
+        else:
+            v = dr.atan2(dr.sqrt(dr.square(normal.x) + dr.square(normal.y)), normal.z) * dr.inv_pi
         u = (u * self._width + 1.0) / (self._width + 2.0)
         return mi.Color3f(*self._texture.eval(mi.Point2f(u, v), active))
 
@@ -43,7 +50,9 @@ def radiance(sky: dict[str, Any]) -> Any:
     if sky["texture"] is None:
         color = dr.opaque(mi.Color3f, sky["color"])
         return lambda ray, active: dr.select(active, color, 0.0)
-    lookup = Lookup(np.load(sky["texture"]))
+    lookup = Lookup(np.load(sky["texture"]), sky["projection"])
+    if sky["radius"] >= UNBOUNDED:
+        return lambda ray, active: dr.select(active, lookup(ray.d, active), 0.0)
     center, radius = dr.opaque(mi.Point3f, sky["center"]), dr.opaque(mi.Float, sky["radius"])
 
     def textured(ray: Any, active: Any) -> Any:
@@ -62,9 +71,9 @@ class PaperSky(mi.Texture):
     """The sky as the radiance of an `area` emitter on a sphere, looked up by the position on it."""
 
     def __init__(self, props: Any) -> None:
-        """Read `texture`, an NPY file of (H, W, 3) float32, and the sphere's `center`."""
+        """Read `texture`, an NPY file of (H, W, 3) float32, its `projection`, and the sphere's `center`."""
         mi.Texture.__init__(self, props)
-        self._lookup = Lookup(np.load(props["texture"]))
+        self._lookup = Lookup(np.load(props["texture"]), props["projection"])
         self._center = dr.opaque(mi.Point3f, list(props["center"]))
 
     def eval(self, si: Any, active: Any = True) -> Any:

@@ -74,6 +74,9 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
             "range": min(scene.occlusion_range * canonical.scale, UNBOUNDED),
         },
         "sky": _sky(scene, canonical),
+        "irradiance_factor": scene.irradiance_factor,
+        "ignore": scene.ignore,
+        "normals": scene.normals,
         "max_bounces": scene.max_bounces if scene.toggles.reflections else 0,
         "has_lights": scene.has_lights,
         "light_centres": [
@@ -164,15 +167,16 @@ def _sky(scene: Scene, canonical: Canonical) -> dict[str, Any]:
         "color": list(scene.sky.color),
         "texture": "sky.npy" if scene.sky.texture is not None else None,
         "center": canonical.points(scene.sky.center).tolist(),
-        "radius": scene.sky.radius * canonical.scale,
+        "radius": min(scene.sky.radius * canonical.scale, UNBOUNDED),
+        "projection": scene.sky.projection,
     }
 
 
 def _sky_emitter(scene: Scene, canonical: Canonical) -> dict[str, Any]:
     """The sky as a light: `constant`, or the paper's sphere itself, so that parallax and filter are its own.
 
-    Where the sphere does not enclose the camera and all geometry it cannot be a shape without hiding them;
-    the texture is then looked up by direction, from a sphere a thousand times as large as the scene.
+    Where the sphere is infinite, or does not enclose the camera and all geometry and would hide them, the texture is
+    looked up by direction, from a sphere a thousand times as large as the scene.
     """
     if scene.sky.texture is None:
         return {"type": "constant", "radiance": _rgb(scene.sky.color)}
@@ -182,7 +186,7 @@ def _sky_emitter(scene: Scene, canonical: Canonical) -> dict[str, Any]:
     )
     inside = np.vstack([corners, scene.camera.position])
     center, radius = canonical.points(scene.sky.center), scene.sky.radius * canonical.scale
-    if np.linalg.norm(canonical.points(inside) - center, axis=1).max() >= radius:
+    if math.isinf(radius) or np.linalg.norm(canonical.points(inside) - center, axis=1).max() >= radius:
         center, radius = np.zeros(3), 1000.0 * SIZE
     return {
         "type": "sphere",
@@ -192,7 +196,12 @@ def _sky_emitter(scene: Scene, canonical: Canonical) -> dict[str, Any]:
         "bsdf": BLACK_BSDF,
         "emitter": {
             "type": "area",
-            "radiance": {"type": "paper_sky", "texture": "sky.npy", "center": center.tolist()},
+            "radiance": {
+                "type": "paper_sky",
+                "texture": "sky.npy",
+                "center": center.tolist(),
+                "projection": scene.sky.projection,
+            },
         },
     }
 

@@ -1,5 +1,8 @@
 """The twin of a photon density estimate: `color (1 - g) / π · mean over maps of E(x)`, E by a kernel or the k nearest.
 
+For `direct` x is what the camera sees; for `specular` it is a vertex of a chain, as in `terms.specular`, whose sky and
+ambient light are added.
+
 What the kernel does to E is part of what is meant, so the reference is the same estimate made by other means: photons
 leave Mitsuba's emitters (`sample_ray`), fly by its `ray_intersect`, and are gathered by scipy's k-d tree (see
 `density`). They are independent of each other, and every map has its own. Roulette survives with
@@ -18,12 +21,13 @@ import numpy as np
 
 from . import density
 from .density import Faces, Photons, Points
-from .terms import direct
+from .terms import direct, shadows, specular
 from .wavefront import camera_samples, pixel_means, shape_pointer
 
 MAX_SURVIVAL = 0.99
 PHOTONS = 2**16  # of a map whose mean does not depend on the count
 LIGHT_SAMPLES = 32  # a pixel and map, of the first hits that no photon stands for
+CHAINS = 8  # a pixel and map: they share the map
 POINTS = 2**14  # gathered together: bounds memory
 
 
@@ -44,8 +48,17 @@ class Surfaces(NamedTuple):
     albedo: np.ndarray
 
 
+class Sights(NamedTuple):
+    """Rays from where light is wanted: origins, directions and weights (N, 3), and the pixel (N,) of each."""
+
+    origin: np.ndarray
+    direction: np.ndarray
+    weight: np.ndarray
+    pixel: np.ndarray
+
+
 def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.ndarray:
-    """Mean over `spp` photon maps with one camera ray a pixel each, (1, H, W, 3) float64.
+    """Mean over `spp` photon maps with one camera ray (or CHAINS chains) a pixel each, (1, H, W, 3) float64.
 
     Its expectation is the limit's exactly, whatever `spp`: the radii of the passes have equal shares of the maps, or
     equal chances to be among them.
@@ -53,49 +66,90 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
     Raises
     ------
     ValueError
-        The scope is not "all", the shadow rule is the paper's, or a mesh has interpolated normals.
+        The scope is not "all", rays or normals are not Mitsuba's, or a mesh has interpolated normals.
     """
     kernel, description = limit["kernel"], loaded.description
-    if limit["shadows"] != "physical":
-        raise ValueError(f"shadows = {limit['shadows']!r} with a photon kernel: allowed is 'physical'")
-    if limit["scope"] != "all":
-        raise ValueError(f"scope = {limit['scope']!r} with a photon kernel: allowed is 'all'")
+    _check(description, limit)
+    width, height = description["camera"]["resolution"]
+    image = np.zeros((height * width, 3))
+    if description["has_lights"]:
+        surfaces = surfaces_of(loaded.scenes["direct"])
+        dark = shadows.rule(loaded, limit, "direct")
+        sights = _sights(loaded, limit, spp, seed)
+        for number in range(spp):
+            rng = np.random.default_rng((seed, number))
+            radius = pass_radius(kernel, (number + rng.random()) / spp) * description["scale"]
+            photons = trace(
+                surfaces,
+                rng,
+                count=kernel["photons"] if kernel["shape"] == "nearest" else PHOTONS,
+                first_hits=kernel["stored"] == "all",
+                weighted=kernel["weighted"],
+            )
+            seen = sights(number)
+            points = _hits(surfaces, seen.origin, seen.direction, dark)
+            lit = np.flatnonzero(surfaces.albedo[points.face].any(axis=1))
+            for start in range(0, len(lit), POINTS):
+                block = lit[start : start + POINTS]
+                here = Points(*(column[block] for column in points))
+                irradiance = _irradiance(kernel, radius, surfaces.faces, here, photons)
+                radiance = seen.weight[block] * surfaces.albedo[here.face] * irradiance
+                np.add.at(image, seen.pixel[block], radiance)
+    image = image.reshape(1, height, width, 3) * (description["irradiance_factor"] / (np.pi * spp))
+    return image + _rest(loaded, limit, spp=spp, seed=seed)
+
+
+def _check(description: dict[str, Any], limit: dict[str, Any]) -> None:
+    wanted = {"ignore": "face", "normals": "viewer", "scope": "all"}
+    for name, value in wanted.items():
+        found = limit[name] if name in limit else description[name]
+        if found != value:
+            raise ValueError(f"{name} = {found!r} with a photon kernel: allowed is {value!r}")
     for name, item in description["scenes"]["direct"].items():
         if isinstance(item, dict) and not item.get("face_normals", True):
             raise ValueError(f"{name} has interpolated normals: allowed with a photon kernel are flat ones")
-    width, height = description["camera"]["resolution"]
-    image = np.zeros((height * width, 3))
-    if not description["has_lights"]:
-        return image.reshape(1, height, width, 3)
-    surfaces = surfaces_of(loaded.scenes["direct"])
-    for number in range(spp):
-        rng = np.random.default_rng((seed, number))
-        radius = pass_radius(kernel, (number + rng.random()) / spp) * description["scale"]
-        photons = trace(
-            surfaces,
-            rng,
-            count=kernel["photons"] if kernel["shape"] == "nearest" else PHOTONS,
-            first_hits=kernel["stored"] == "all",
-            weighted=kernel["weighted"],
-        )
-        origin, direction = _camera_rays(description["camera"], number, spp, seed)
-        points = _hits(surfaces, origin, direction)
-        seen = np.flatnonzero(surfaces.albedo[points.face].any(axis=1))
-        for start in range(0, len(seen), POINTS):
-            block = seen[start : start + POINTS]
-            here = Points(*(column[block] for column in points))
-            irradiance = _irradiance(kernel, radius, surfaces.faces, here, photons)
-            image[block] += surfaces.albedo[here.face] * irradiance
-    image = image.reshape(1, height, width, 3) / (np.pi * spp)
-    if kernel["stored"] == "scattered":
-        radiance = direct.reflected(surfaces.scene, direct.FIRST_HIT)
-        image += pixel_means(
-            lambda samples: (radiance(samples.ray, samples.sampler, True),),
-            description["camera"],
-            spp=spp * (LIGHT_SAMPLES if dr.is_jit_v(mi.Float) else 1),
-            seed=seed,
-        )
-    return image
+
+
+def _rest(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> Any:
+    """What no photon stands for: first hits that are not stored, the sky and ambient light of a chain."""
+    if limit["term"] == "specular":
+        estimate, rays = specular.estimator(loaded, limit), CHAINS
+    elif limit["kernel"]["stored"] == "scattered" and loaded.description["has_lights"]:
+        straight = limit | {"scope": "first-hit"}
+        estimate, rays = direct.estimator(loaded, straight), LIGHT_SAMPLES
+    else:
+        return 0.0
+    count = spp * (rays if dr.is_jit_v(mi.Float) else 1)
+    return pixel_means(estimate, loaded.description["camera"], spp=count, seed=seed)
+
+
+def _sights(loaded: Any, limit: dict[str, Any], maps: int, seed: int) -> Callable[[int], Sights]:
+    """Number of a map -> its rays; over the maps they are spread in the pixel."""
+    camera = loaded.description["camera"]
+    width, height = camera["resolution"]
+    chains = CHAINS if limit["term"] == "specular" else 1
+    share = dr.opaque(mi.Float, 1.0 / chains)
+    pixel = np.repeat(np.arange(width * height), chains)
+    index = np.tile(np.arange(chains), width * height)
+    count, shift = (dr.opaque(mi.UInt32, value) for value in (maps * chains, seed))
+    follow = specular.segments(loaded, limit) if limit["term"] == "specular" else None
+
+    def sights(number: int) -> Sights:
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed((seed + number) % 2**32, len(pixel))
+
+        def ray(pixel: Any, index: Any) -> tuple[Any, ...]:
+            samples = camera_samples(camera, pixel, index, count, shift, sampler)
+            if follow is None:
+                return samples.ray.o, samples.ray.d, mi.Color3f(1.0)
+            _, segment, weight, active = follow(samples)
+            return segment.o, segment.d, dr.select(active, weight * share, 0.0)
+
+        origin, direction, weight = _each(ray, pixel, index + number * chains)
+        useful = weight.any(axis=1)
+        return Sights(origin[useful], direction[useful], weight[useful], pixel[useful])
+
+    return sights
 
 
 def pass_radius(kernel: dict[str, Any], fraction: float) -> float:
@@ -200,8 +254,8 @@ def _emitted(scene: Any, rng: np.random.Generator, count: int) -> tuple[np.ndarr
     return origin, direction, power / (count * share[chosen, None])
 
 
-def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> Points:
-    """Where rays (N, 3) meet a surface, seen from their origin; face -1 on a miss."""
+def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray, dark: Any = None) -> Points:
+    """Where rays (N, 3) meet a surface, seen from their origin; face -1 on a miss, and where it is `dark`."""
     shapes = [
         (shape_pointer(shape), int(first))
         for shape, first in zip(surfaces.scene.shapes(), surfaces.first, strict=True)
@@ -212,24 +266,14 @@ def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> Poin
         face = mi.Int32(-1)
         for shape, first in shapes:
             face = dr.select(si.shape == shape, mi.Int32(si.prim_index) + first, face)
+        if dark is not None:
+            face = dr.select(dark(si, si.is_valid()), -1, face)
         return si.p, face
 
     position, number = _each(intersect, origin, direction)
     face = number.astype(np.int64)
     facing = np.einsum("nx,nx->n", direction, surfaces.faces.normals[face]) <= 0.0
     return Points(position, face, np.where(facing, 1.0, -1.0))
-
-
-def _camera_rays(camera: dict[str, Any], number: int, maps: int, seed: int) -> tuple[np.ndarray, ...]:
-    """Origins and directions (H W, 3) of a map's camera rays; over the maps they are spread in the pixel."""
-    index, count, shift = (dr.opaque(mi.UInt32, value) for value in (number, maps, seed))
-
-    def ray(pixel: Any) -> tuple[Any, Any]:
-        samples = camera_samples(camera, pixel, index, count, shift, None)
-        return samples.ray.o, samples.ray.d
-
-    width, height = camera["resolution"]
-    return tuple(_each(ray, np.arange(width * height)))
 
 
 def _each(function: Callable[..., tuple[Any, ...]], *columns: np.ndarray) -> list[np.ndarray]:

@@ -17,6 +17,7 @@ import numpy as np
 
 WIDTH = 2**20  # rays of one pass: bounds memory
 GOLDEN = 0.6180339887498949
+UNBOUNDED = 1e30  # a length that stands for infinity, see `translate`
 
 
 class Samples(NamedTuple):

@@ -34,7 +34,7 @@ def render(
     samples : samples per pixel and replicate; powers of two keep the points well spread.
     replicates : independent repetitions; 2 or more give a variance.
     seed : equal seeds give equal bits, for any number of threads.
-    chain : the direct estimator at the vertices of a specular chain.
+    chain : what the other terms are at the vertices of a specular chain, see `renderer.terms.variant.Chain`.
     threads : None: one a core.
 
     Raises

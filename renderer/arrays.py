@@ -24,6 +24,7 @@ class Geometry(NamedTuple):
     shading : (F, 3, 3), unit normals at the corners; the geometric one where shading is flat.
     smooth : (F,) bool, whether `shading` is interpolated.
     object : (F,) index of the object.
+    first : (O + 1,) first face of each object, and the number of faces.
     tree : the hierarchy over the faces.
     """
 
@@ -32,6 +33,7 @@ class Geometry(NamedTuple):
     shading: np.ndarray
     smooth: np.ndarray
     object: np.ndarray
+    first: np.ndarray
     tree: Tree
 
 
@@ -89,6 +91,7 @@ class SkyArrays(NamedTuple):
     texture: np.ndarray
     center: Vec3
     radius: float
+    equal_area: bool
 
 
 class CameraArrays(NamedTuple):
@@ -110,7 +113,11 @@ PIXEL_RULES = ("corner", "centre", "jitter")
 
 
 class SceneArrays(NamedTuple):
-    """All that a kernel sees of a scene; `ambient_range` 0 means that ambient occlusion is off."""
+    """All that a kernel sees of a scene; `ambient_range` 0 means that ambient occlusion is off.
+
+    `irradiance_factor` multiplies direct light; `ignore_object`, `face_forward` and `watertight` are the settings
+    `ignore`, `normals` and `intersection` of the scene.
+    """
 
     geometry: Geometry
     materials: Materials
@@ -122,6 +129,10 @@ class SceneArrays(NamedTuple):
     ambient_range: float
     max_bounces: int
     rings: int
+    irradiance_factor: float
+    ignore_object: bool
+    face_forward: bool
+    watertight: bool
     draw_lights: bool
 
 
@@ -139,6 +150,10 @@ def from_scene(scene: Scene) -> SceneArrays:
         scene.occlusion_range,
         scene.max_bounces,
         scene.rings,
+        scene.irradiance_factor,
+        scene.ignore == "object",
+        scene.normals == "viewer",
+        scene.intersection == "watertight",
         scene.draw_lights,
     )
 
@@ -155,7 +170,8 @@ def _geometry(scene: Scene) -> Geometry:
     if not corners:
         empty = np.zeros((0, 3, 3))
         none = np.zeros(0, np.int32)
-        return Geometry(empty, np.zeros((0, 3)), empty, none.astype(np.bool_), none, bvh.build(empty))
+        first = np.zeros(1, np.int32)
+        return Geometry(empty, np.zeros((0, 3)), empty, none.astype(np.bool_), none, first, bvh.build(empty))
     faces = np.ascontiguousarray(np.concatenate(corners))
     area_normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     length = np.linalg.norm(area_normals, axis=1, keepdims=True)
@@ -164,7 +180,13 @@ def _geometry(scene: Scene) -> Geometry:
     is_smooth = np.concatenate(smooth)
     shading_normals[~is_smooth] = normals[~is_smooth, None, :]
     return Geometry(
-        faces, normals, shading_normals, is_smooth, np.concatenate(owner).astype(np.int32), bvh.build(faces)
+        corners=faces,
+        normals=normals,
+        shading=shading_normals,
+        smooth=is_smooth,
+        object=np.concatenate(owner).astype(np.int32),
+        first=np.cumsum([0, *map(len, owner)]).astype(np.int32),
+        tree=bvh.build(faces),
     )
 
 
@@ -213,7 +235,10 @@ def _shadow_rule(scene: Scene) -> ShadowRule:
 def _sky(scene: Scene) -> SkyArrays:
     sky = scene.sky
     texture = np.zeros((0, 0, 3)) if sky.texture is None else sky.texture.astype(np.float64)
-    return SkyArrays(Vec3(*sky.color), np.ascontiguousarray(texture), Vec3(*sky.center), sky.radius)
+    equal_area = sky.projection == "equal-area"
+    return SkyArrays(
+        Vec3(*sky.color), np.ascontiguousarray(texture), Vec3(*sky.center), sky.radius, equal_area
+    )
 
 
 def _camera(camera: Camera, resolution: tuple[int, int]) -> CameraArrays:

@@ -55,7 +55,7 @@ def skipped(scene: Scene, term: Term) -> str | None:
     )
 
 
-def check(scene: Scene, variant: Variant) -> None:
+def check(scene: Scene, variant: Variant, *, chain: Chain = "next-event") -> None:
     """Refuse an option that the variant would ignore.
 
     Raises
@@ -73,6 +73,12 @@ def check(scene: Scene, variant: Variant) -> None:
         raise ValueError(
             f"{scene.name}: photons.scattering = {scattering!r}: allowed is {allowed} for {variant.term} "
             f"{variant.name}"
+        )
+    # Radiance that leaves a back as if it were the front has no flux that photons could carry.
+    if scene.normals == "face" and variant.photons(scene, chain):
+        raise ValueError(
+            f"{scene.name}: normals = 'face': allowed is 'viewer' for {variant.term} {variant.name}, which needs "
+            "photons (without: scope = 'first-hit', or direct path)"
         )
 
 

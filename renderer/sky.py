@@ -1,7 +1,8 @@
 """The sky: a constant, or the paper's texture on a sphere.
 
 A ray that misses everything meets the sphere around `center`; with n the unit vector from the centre to that point,
-`u = atan2(n.x, n.y) / (2 pi) + 0.5` and `v = 0.5 - n.z / 2` (paper). v is linear in height: rows have equal areas.
+`u = atan2(n.x, n.y) / (2 pi) + 0.5` and `v = 0.5 - n.z / 2` (paper): v is linear in height, rows have equal areas. As
+settings: `v = acos(n.z) / pi` (lat-long), and n = the ray's direction (infinite radius).
 """
 
 import math
@@ -40,15 +41,21 @@ def sky_radiance(sky: SkyArrays, origin: Vec3, direction: Vec3) -> Vec3:
     """Radiance along a unit direction that nothing blocks; black where the sphere is missed."""
     if sky.texture.shape[0] == 0:
         return sky.color
-    offset = sub(origin, sky.center)
-    b = dot(offset, direction)
-    # Distance of the line from the centre first: b² - c cancels for far origins.
-    perpendicular = mad(direction, -b, offset)
-    discriminant = sky.radius * sky.radius - dot(perpendicular, perpendicular)
-    if discriminant < 0.0:
-        return Vec3(0.0, 0.0, 0.0)
-    t = -b + math.sqrt(discriminant)
-    if t <= 0.0:
-        return Vec3(0.0, 0.0, 0.0)
-    n = scale(mad(direction, t, offset), 1.0 / sky.radius)
-    return sky_texture(sky, math.atan2(n.x, n.y) / (2.0 * math.pi) + 0.5, 0.5 - 0.5 * n.z)
+    n = direction
+    if sky.radius < math.inf:
+        offset = sub(origin, sky.center)
+        b = dot(offset, direction)
+        # Distance of the line from the centre first: b² - c cancels for far origins.
+        perpendicular = mad(direction, -b, offset)
+        discriminant = sky.radius * sky.radius - dot(perpendicular, perpendicular)
+        if discriminant < 0.0:
+            return Vec3(0.0, 0.0, 0.0)
+        t = -b + math.sqrt(discriminant)
+        if t <= 0.0:
+            return Vec3(0.0, 0.0, 0.0)
+        n = scale(mad(direction, t, offset), 1.0 / sky.radius)
+    u = math.atan2(n.x, n.y) / (2.0 * math.pi) + 0.5
+    if sky.equal_area:
+        return sky_texture(sky, u, 0.5 - 0.5 * n.z)
+    # atan2 and not acos, which loses half of the digits near the poles.
+    return sky_texture(sky, u, math.atan2(math.sqrt(n.x * n.x + n.y * n.y), n.z) / math.pi)

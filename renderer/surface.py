@@ -1,7 +1,7 @@
 """Where a ray meets a surface: `x = (1 - b1 - b2) v0 + b1 v1 + b2 v2`, and the normal that faces the ray.
 
 The point comes from barycentrics, not from o + t d, so it lies on the face to the last bits whatever the distance
-travelled; rays that leave it skip this face by its index, never by an epsilon.
+travelled; rays that leave it skip this face (or its object, see `Scene.ignore`) by index, never by an epsilon.
 """
 
 import math
@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from renderer.arrays import Geometry, SceneArrays
-from renderer.geometry.intersect import Hit, Ray, make_ray
-from renderer.geometry.traverse import any_hit, closest_hit
+from renderer.geometry import paper, traverse
+from renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
 from renderer.jit import device
 from renderer.vector import Vec3, dot, entry, negate, normalize, sub, vec3
 
@@ -20,7 +20,8 @@ class Surface(NamedTuple):
     """A point on a face (-1: the ray missed everything).
 
     `normal` is the shading normal, turned towards the ray's origin; `side` is +1 where that origin is on the
-    side that the face's own normal points to, else -1.
+    side that the face's own normal points to, else -1. With `Scene.normals` of the "face" the surface is taken as seen
+    from its front: `normal` is not turned, and `side` tells as before where the origin is.
     """
 
     point: Vec3
@@ -59,15 +60,34 @@ def _shading_normal(geometry: Geometry, face: int, b1: float, b2: float) -> Vec3
 
 
 @device
-def trace(scene: SceneArrays, ray: Ray, ignore: int, stack: np.ndarray) -> Surface:
-    """Nearest surface along a ray of unit direction, `ignore` being the face that it leaves (-1: none)."""
+def _leaving(scene: SceneArrays, face: int) -> FaceRange:
+    """What a ray passes that leaves a face (-1: none)."""
+    if scene.ignore_object and face >= 0:
+        thing = scene.geometry.object[face]
+        return FaceRange(entry(scene.geometry.first, thing), entry(scene.geometry.first, thing + 1))
+    return FaceRange(face, face + 1)
+
+
+@device
+def _closest(scene: SceneArrays, ray: Ray, far: float, face: int, stack: np.ndarray) -> Hit:
+    """Nearest hit of a ray that leaves a face (-1: none)."""
     geometry = scene.geometry
-    hit: Hit = closest_hit(geometry.corners, geometry.tree, ray, math.inf, ignore, stack)
+    ignore = _leaving(scene, face)
+    if scene.watertight:
+        return traverse.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, stack)
+    return paper.closest_hit(geometry.corners, ray, far, ignore)
+
+
+@device
+def trace(scene: SceneArrays, ray: Ray, leaving: int, stack: np.ndarray) -> Surface:
+    """Nearest surface along a ray of unit direction, `leaving` being the face that it leaves (-1: none)."""
+    geometry = scene.geometry
+    hit = _closest(scene, ray, math.inf, leaving, stack)
     wo = negate(ray.direction)
     if hit.face < 0:
         return Surface(ray.origin, wo, wo, -1, -1, 1.0)
     normal = _shading_normal(geometry, hit.face, hit.b1, hit.b2)
-    if dot(normal, wo) < 0.0:
+    if scene.face_forward and dot(normal, wo) < 0.0:
         normal = negate(normal)
     side = 1.0 if dot(vec3(geometry.normals, hit.face), wo) >= 0.0 else -1.0
     point = point_on_face(geometry, hit.face, hit.b1, hit.b2)
@@ -81,17 +101,17 @@ def shadowed(scene: SceneArrays, surface: Surface, stack: np.ndarray) -> bool:
     geometry = scene.geometry
     for light in range(len(rule.object)):
         origin = surface.point
-        ignore = surface.face
+        leaving = surface.face
         while True:
             ray = make_ray(origin, sub(vec3(rule.centre, light), origin))
-            hit: Hit = closest_hit(geometry.corners, geometry.tree, ray, 1.0, ignore, stack)
+            hit = _closest(scene, ray, 1.0, leaving, stack)
             if hit.face < 0 or hit.t >= 1.0:
                 return False
             if geometry.object[hit.face] != rule.object[light]:
                 break
             # Through a face of the light itself.
             origin = point_on_face(geometry, hit.face, hit.b1, hit.b2)
-            ignore = hit.face
+            leaving = hit.face
     return len(rule.object) > 0
 
 
@@ -102,4 +122,7 @@ def occluded(
     """Whether anything but face `target` lies nearer than `far` (in lengths of `direction`)."""
     geometry = scene.geometry
     ray = make_ray(surface.point, direction)
-    return any_hit(geometry.corners, geometry.tree, ray, far, surface.face, target, stack)
+    ignore = _leaving(scene, surface.face)
+    if scene.watertight:
+        return traverse.any_hit(geometry.corners, geometry.tree, ray, far, ignore, target, stack)
+    return paper.any_hit(geometry.corners, ray, far, ignore, target)

@@ -84,7 +84,7 @@ class Engine:
         """
         if samples < 1:
             raise ValueError(f"samples = {samples}: allowed is at least 1")
-        check(self.scene, variant)
+        check(self.scene, variant, chain=chain)
         width, height = self.scene.resolution
         out = np.zeros((height, width, 3))
         if skipped(self.scene, variant.term) is not None:
@@ -101,7 +101,7 @@ class Engine:
             # A photon map serves one sample: each pass has its own radius.
             for first in range(done, count) if stored else (done,):
                 if stored:
-                    photons = self._photons(variant, stored, key, first, count=self.scene.photons.count)
+                    photons = self._photons(variant, chain, stored, key, first, self.scene.photons.count)
                 last = first + 1 if stored else count
                 inputs = variant.inputs(self.scene, chain, photons)
                 self._run(variant, inputs, key, first, last, out, cancel)
@@ -149,23 +149,24 @@ class Engine:
     ) -> None:
         """Compile before the clock starts."""
         start = time.perf_counter()
-        photons = self._photons(variant, stored, key, 0, count=1) if stored else photon_map.empty()
+        photons = self._photons(variant, chain, stored, key, 0, 1) if stored else photon_map.empty()
         inputs = variant.inputs(self.scene, chain, photons)
         warm(variant.driver, self.arrays, *inputs, key, 0, 1, self.tiles[0], out)
         self.compile_seconds += time.perf_counter() - start
 
     def _photons(
-        self, variant: Variant, stored: Stored, key: np.uint64, index: int, *, count: int
+        self, variant: Variant, chain: Chain, stored: Stored, key: np.uint64, index: int, count: int
     ) -> photon_map.PhotonMap:
         """The map of pass `index`."""
         photons = self.scene.photons
         kernel = variant.kernel(self.scene, 1)
+        by_nearest = kernel.shape == "nearest" if kernel else chain == "paper"
         rule = photon_tracing.Scattering(
             survival=photons.survival or 0.0,
             weighted=stored != "unweighted",
             # The operator of a specular chain means diffuse scattering.
             full=photons.scattering == "full" and variant.term == "direct",
-            independent=kernel is not None and kernel.shape == "nearest",
+            independent=by_nearest,
         )
         return photon_tracing.emit(
             self.arrays,

@@ -4,7 +4,8 @@ With `A = AO * L_a0`, `E` the irradiance, `S[L] = ∫ f mu_i L dw` (Cook-Torranc
 `H[L] = (1/pi) ∫ mu_i L dw`:
 
 - ambient:    `factor * weight * A`
-- direct:     `factor * weight * E / pi`, E of the first hit or of all bounces (`scope`)
+- direct:     `factor * weight * E / pi`, E of the first hit or of all bounces (`scope`); pi times it where the scene
+              takes E for radiance
 - specular:   `gloss * (lobe * S[L] + diffuse * H[L])`, the bracket acting at every vertex of the chain
 - background: the sky on a miss and the emission of a light's own surface
 
@@ -76,10 +77,12 @@ class Limit:
         Albedo of a white Lambertian lobe beside it (specular `paper-code`: 1/2).
     cosine : "incident" | "outgoing"
         Which cosine the specular lobe is multiplied by: mu_i, or mu_o in its place (specular `paper-literal`).
+    ambient : float
+        Factor on the ambient light that a specular chain meets.
     rings : int or None
         N of the paper's rule over the hemisphere, at every vertex; None: the integral.
     kernel : Kernel or None
-        The photon density estimate that E is, None: E itself.
+        The photon density estimate that E is, in `direct` or at the vertices of a specular chain; None: E itself.
     shadows : "physical" | "paper"
         The paper's shadow rule (see `scenes.model.Scene`), or none.
     transport : "decomposed" | "physical"
@@ -94,6 +97,7 @@ class Limit:
     lobe: float = 1.0
     diffuse: float = 0.0
     cosine: Literal["incident", "outgoing"] = "incident"
+    ambient: float = 1.0
     rings: int | None = None
     kernel: Kernel | None = None
     shadows: Literal["physical", "paper"] = "physical"

@@ -207,6 +207,7 @@ class _SkyFile:
     texture: str | None = None
     center: Vector = Sky().center
     radius: float = Sky().radius
+    projection: Literal["equal-area", "lat-long"] = "equal-area"
 
     def __attrs_post_init__(self) -> None:
         """Refuse a sky that is both or neither."""
@@ -214,9 +215,10 @@ class _SkyFile:
             raise ValueError(f"color = {self.color!r}, texture = {self.texture!r}: allowed is one of the two")
 
     def build(self, folder: Path) -> Sky:
+        placed = Sky(center=self.center, radius=self.radius, projection=self.projection)
         if self.texture is None:
-            return Sky(color=self.color or BLACK, center=self.center, radius=self.radius)
-        return Sky(texture=_read_texture(folder, self.texture), center=self.center, radius=self.radius)
+            return attrs.evolve(placed, color=self.color or BLACK)
+        return attrs.evolve(placed, texture=_read_texture(folder, self.texture))
 
 
 def _read_texture(folder: Path, name: str) -> np.ndarray:
@@ -252,6 +254,10 @@ class _SceneFile:
     rings: int = 16
     scope: Scope = "all"
     shadows: Literal["physical", "paper"] = "physical"
+    irradiance: Literal["E / pi", "E"] = "E / pi"
+    ignore: Literal["face", "object"] = "face"
+    normals: Literal["viewer", "face"] = "viewer"
+    intersection: Literal["watertight", "paper"] = "watertight"
     draw_lights: bool = False
 
     def build(self, path: Path) -> Scene:

@@ -176,12 +176,15 @@ class Sky:
     ----------
     color : radiance of a constant sky; ignored with a texture.
     texture : (H, W, 3) float32 array, or None.
+    center, radius : of the sphere. With an infinite radius n is the direction of the ray: no parallax.
+    projection : "equal-area" is the paper's v; "lat-long", `v = acos(n.z) / pi`, is that of usual panoramas.
     """
 
     color: Color = attrs.field(default=BLACK, validator=non_negative)
     texture: np.ndarray | None = None
     center: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
-    radius: float = attrs.field(default=100.0, validator=positive)
+    radius: float = attrs.field(default=100.0, validator=in_range(0.0, open_low=True))
+    projection: Literal["equal-area", "lat-long"] = "equal-area"
 
     @property
     def is_black(self) -> bool:
@@ -297,9 +300,19 @@ class Scene:
     """Everything that is rendered. Immutable; `attrs.evolve` makes variations.
 
     `rings` is N of the paper's rule `mu_k = k / (N + 1)` over the hemisphere (its max_samples).
-    `shadows` is "physical", where visibility alone decides, or "paper", its early return on top: a point that sees the
-    centre of no light (a point light's position, an emitting object's centroid by area, its own faces apart) has
-    `color` times the ambient light and nothing else, and a specular chain ends there. Without lights there is none.
+
+    Choices that the paper's code makes or leaves open; the first of each is the default:
+
+    - `shadows` is "physical", where visibility alone decides, or "paper", its early return on top: a point that sees
+      the centre of no light (a point light's position, an emitting object's centroid by area, its own faces apart) has
+      `color` times the ambient light and nothing else, and a specular chain ends there. Without lights there is none.
+    - `irradiance`: direct light is read from E as "E / pi", or as "E", pi times too bright.
+    - `ignore`: a ray that leaves a surface passes the "face" that it leaves, or all of its "object", which costs
+      concave objects their own shadows and occlusion.
+    - `normals`: a surface is shaded about the normal of the "viewer"'s side, or about the one that its "face" has,
+      whichever side is seen: from behind, ambient and direct are those of the front, and the specular lobe is 0 (its
+      masking is, where the view is below the surface). Photons and smooth meshes need the former.
+    - `intersection`: "watertight", or "paper": a test of angles with absolute epsilons of 1e-5 against every face.
     """
 
     name: str
@@ -316,6 +329,10 @@ class Scene:
     rings: int = attrs.field(default=16, validator=in_range(1, 65536))
     scope: Scope = "all"
     shadows: Literal["physical", "paper"] = "physical"
+    irradiance: Literal["E / pi", "E"] = "E / pi"
+    ignore: Literal["face", "object"] = "face"
+    normals: Literal["viewer", "face"] = "viewer"
+    intersection: Literal["watertight", "paper"] = "watertight"
     draw_lights: bool = False
 
     def __attrs_post_init__(self) -> None:
@@ -326,6 +343,14 @@ class Scene:
                 raise ValueError(f"objects: name = {name!r}: allowed is any other than '' and 'image'")
             if names.count(name) > 1:
                 raise ValueError(f"objects: name {name!r} is used twice: allowed are distinct names")
+
+        if self.normals == "face":
+            for thing in self.objects:
+                if thing.mesh.normals is not None:
+                    raise ValueError(
+                        f"objects: {thing.name!r}: normals = 'smooth': allowed is 'flat' where the scene has normals = "
+                        "'face'"
+                    )
 
     @property
     def aspect(self) -> float:
@@ -355,6 +380,11 @@ class Scene:
             return []
         points = [(light.position, -1) for light in self.lights if any(light.intensity)]
         return points + [(thing.mesh.centroid(), i) for i, thing in enumerate(self.objects) if thing.emits]
+
+    @property
+    def irradiance_factor(self) -> float:
+        """What direct light is multiplied by: pi where E is taken for radiance."""
+        return math.pi if self.irradiance == "E" else 1.0
 
     @property
     def occlusion_range(self) -> float:

@@ -11,11 +11,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..wavefront import Estimator, Samples, idle
+from .. import rays
+from ..wavefront import UNBOUNDED, Estimator, Samples, idle
 from . import shadows
 
 RAYS = 4  # occlusion rays per camera ray: they share the primary hit
-UNBOUNDED = 1e30
 INTEGRATOR = {"type": "direct", "emitter_samples": 0, "bsdf_samples": RAYS, "hide_emitters": True}
 
 
@@ -42,7 +42,7 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
 
         return unbounded
 
-    dark = shadows.rule(loaded, limit)
+    dark = shadows.rule(loaded, limit, "ambient")
     color = dr.opaque(mi.Color3f, loaded.description["ambient"]["color"])
 
     def bounded(ray: Any, sampler: Any, active: Any) -> Any:
@@ -64,9 +64,9 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
             else:
                 local = ring_direction(sampler.next_2d(active), limit["rings"])
                 weight = 2.0 * local.z
-            occlusion_ray = si.spawn_ray(si.to_world(towards_viewer(si, local)))
+            occlusion_ray = si.spawn_ray(si.to_world(local * rays.side(loaded, si)))
             occlusion_ray.maxt = dr.opaque(mi.Float, reach)
-            seen += dr.select(scene.ray_test(occlusion_ray, active), 0.0, weight)
+            seen += dr.select(rays.blocked(loaded, scene, si, occlusion_ray, active), 0.0, weight)
         return dr.select(active, albedo * color * (seen / RAYS), 0.0)
 
     return bounded
@@ -76,7 +76,7 @@ def built_in(loaded: Any, limit: dict[str, Any]) -> bool:
     """Whether the limit is that of Mitsuba's own integrator."""
     bounded = loaded.description["ambient"]["range"] < UNBOUNDED
     plain = limit["occluded"] and limit["rings"] is None and limit["shadows"] == "physical"
-    return plain and not bounded
+    return plain and not bounded and rays.plain(loaded)
 
 
 def ring_direction(sample: Any, rings: int) -> Any:
@@ -86,8 +86,3 @@ def ring_direction(sample: Any, rings: int) -> Any:
     sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.y)
     radius = dr.safe_sqrt(1.0 - mu * mu)
     return mi.Vector3f(radius * cos_phi, radius * sin_phi, mu)
-
-
-def towards_viewer(si: Any, local: Any) -> Any:
-    """Turn a direction about the shading normal to the viewer's side, as `twosided` turns the normal."""
-    return local * dr.mulsign(mi.Float(1.0), si.wi.z)

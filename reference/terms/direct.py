@@ -1,14 +1,17 @@
 """Direct: `color (1 - g) E / π`, E from the lights alone, over the first hit or over all diffuse bounces.
 
 Mitsuba's `path` integrator in a scene whose surfaces are all diffuse with albedo `color (1 - g)`. Its roulette is
-off: the survival probability capped at 0.95 has infinite variance for albedos above 0.975.
+off: the survival probability capped at 0.95 has infinite variance for albedos above 0.975. Where the scene's rays or
+normals are not Mitsuba's, the same path is followed here, with light sampling at every vertex.
 """
 
+import functools
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from .. import rays
 from ..wavefront import Estimator, Samples, meets_surface, pixel_means
 from . import shadows
 
@@ -31,16 +34,43 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses or meets a light's surface."""
     if not loaded.description["has_lights"]:
         return lambda ray, sampler, active: mi.Color3f(0.0)
-    radiance = reflected(loaded.scenes["direct"], depth_of(loaded, limit))
-    if limit["shadows"] == "physical":
-        return radiance
-    dark = shadows.rule(loaded, limit)
+    depth = depth_of(loaded, limit)
+    by_path = reflected(loaded.scenes["direct"], depth)
+    radiance = by_path if rays.plain(loaded) else functools.partial(_followed, loaded, depth)
+    factor = dr.opaque(mi.Float, loaded.description["irradiance_factor"])
+    dark = shadows.rule(loaded, limit, "diffuse")
 
-    def masked(ray: Any, sampler: Any, active: Any) -> Any:
+    def read(ray: Any, sampler: Any, active: Any) -> Any:
+        color = factor * radiance(ray, sampler, active)
+        if limit["shadows"] == "physical":
+            return color
         si = loaded.scenes["diffuse"].ray_intersect(ray, active)
-        return dr.select(dark(si, si.is_valid()), 0.0, radiance(ray, sampler, active))
+        return dr.select(dark(si, si.is_valid()), 0.0, color)
 
-    return masked
+    return read
+
+
+@dr.syntax
+def _followed(loaded: Any, depth: int, ray: Any, sampler: Any, active: Any) -> Any:
+    """As `reflected`, by the scene's own rays and normals."""
+    scene = loaded.scenes["direct"]
+    si = scene.ray_intersect(ray, active)
+    active = mi.Bool(active & meets_surface(si))
+    throughput, color = mi.Color3f(1.0), mi.Color3f(0.0)
+    vertices, last = mi.UInt32(1), dr.opaque(mi.UInt32, depth)
+    while active:
+        throughput *= si.bsdf().eval_diffuse_reflectance(si, active)
+        side = rays.side(loaded, si)
+        ds, light = scene.sample_emitter_direction(si, sampler.next_2d(active), False, active)
+        cosine = dr.maximum(side * dr.dot(si.sh_frame.n, ds.d), 0.0)
+        lit = active & (ds.pdf > 0.0) & (cosine > 0.0)
+        lit &= ~rays.blocked(loaded, scene, si, si.spawn_ray_to(ds.p), lit)
+        color += dr.select(lit, throughput * light * (cosine * dr.inv_pi), 0.0)
+        local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
+        _, si = rays.leave(loaded, scene, si, si.spawn_ray(si.to_world(side * local)), active)
+        vertices += 1
+        active &= (vertices < last) & meets_surface(si)
+    return color
 
 
 def depth_of(loaded: Any, limit: dict[str, Any]) -> int:

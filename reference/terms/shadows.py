@@ -5,23 +5,24 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from .. import rays
 from ..wavefront import shape_pointer
 
 OWN_FACES = 8  # of a light, that a ray to its centre may cross
 
 
-def rule(loaded: Any, limit: dict[str, Any]) -> Any:
-    """(si, active) -> whether the limit's rule makes a surface point dark; never, where it has none."""
+def rule(loaded: Any, limit: dict[str, Any], role: str) -> Any:
+    """(si, active) -> whether the limit's rule makes a point of the role's scene dark; never, where it has none."""
     centres = loaded.description["light_centres"] if limit["shadows"] == "paper" else []
     if not centres:
         return lambda si, active: mi.Bool(False)
-    scene = loaded.scenes["diffuse"]
+    scene = loaded.scenes[role]
     shapes = scene.shapes()
 
     def hidden(si: Any, active: Any, centre: Any, thing: int) -> Any:
         open_lanes, blocked = mi.Bool(active), mi.Bool(False)
         for _ in range(OWN_FACES):
-            hit = scene.ray_intersect(si.spawn_ray_to(centre), open_lanes)
+            _, hit = rays.leave(loaded, scene, si, si.spawn_ray_to(centre), open_lanes)
             met = open_lanes & hit.is_valid()
             own = met & (hit.shape == shape_pointer(shapes[thing])) if thing >= 0 else mi.Bool(False)
             blocked |= dr.select(own, False, met)

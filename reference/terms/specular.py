@@ -11,38 +11,49 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from .. import rays
 from ..wavefront import Estimator, Samples
 from . import ambient, direct, shadows
 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
-    """Samples -> (specular term,); unbiased but for the depth of `direct`."""
-    bounces = loaded.description["max_bounces"]
+    """Samples -> (specular term,); unbiased but for the depth of `direct`, which `twin` adds where it has a kernel."""
     # What the other terms are does not vary with the specular variant.
     plain = limit | {"rings": None}
-    diffuse_terms = [term.incoming(loaded, plain) for term in (ambient, direct)]
-    sample_lobes = _lobes(limit)
-    dark = shadows.rule(loaded, limit)
+    terms = [(limit["ambient"], ambient.incoming(loaded, plain))]
+    if limit["kernel"] is None:
+        terms.append((1.0, direct.incoming(loaded, plain)))
+    chain = segments(loaded, limit)
 
     def estimate(samples: Samples) -> tuple[Any]:
-        if bounces == 0:
-            return (mi.Color3f(0.0),)
-        color, ray, weight, active = _chain(
-            loaded.scenes["specular"], loaded.sky, bounces, sample_lobes, dark, samples
-        )
+        color, ray, weight, active = chain(samples)
         dr.eval(color, ray, weight, active)  # one kernel for the chain, one for each diffuse term
-        for term in diffuse_terms:
-            color += weight * mi.Float(bounces) * term(ray, samples.sampler, active)
+        for factor, term in terms:
+            color += weight * dr.opaque(mi.Float, factor) * term(ray, samples.sampler, active)
         return (color,)
 
     return estimate
 
 
+def segments(loaded: Any, limit: dict[str, Any]) -> Any:
+    """Samples -> the sky's light along a chain; and ray, weight and existence of the segment to the chosen vertex."""
+    bounces = loaded.description["max_bounces"]
+    sample_lobes = _lobes(loaded, limit)
+    dark = shadows.rule(loaded, limit, "specular")
+
+    def chain(samples: Samples) -> Any:
+        if bounces == 0:
+            return mi.Color3f(0.0), samples.ray, mi.Color3f(0.0), mi.Bool(False)
+        color, ray, weight, active = _chain(loaded, bounces, sample_lobes, dark, samples)
+        return color, ray, weight * mi.Float(bounces), active
+
+    return chain
+
+
 @dr.syntax
-def _chain(
-    scene: Any, sky_radiance: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Samples
-) -> Any:
-    """Follow the lobes: the sky's light, and ray, weight and existence of the segment to the chosen vertex."""
+def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Samples) -> Any:
+    """Follow the lobes; the weight is the throughput of the chosen vertex."""
+    scene, sky_radiance = loaded.scenes["specular"], loaded.sky
     sampler = samples.sampler
     last = dr.opaque(mi.UInt32, bounces)
     chosen = samples.number % last
@@ -60,8 +71,7 @@ def _chain(
         direction, weight = sample_lobes(si, sampler, active)
         throughput *= weight
         active &= dr.any(throughput != 0.0)
-        ray = si.spawn_ray(si.to_world(direction))
-        si = scene.ray_intersect(ray, active)
+        ray, si = rays.leave(loaded, scene, si, si.spawn_ray(si.to_world(direction)), active)
         color += throughput * sky_radiance(ray, active & (si.t == dr.inf))
         active &= si.is_valid()
         here = active & (depth == chosen)
@@ -73,7 +83,7 @@ def _chain(
     return color, kept_ray, kept_weight, kept
 
 
-def _lobes(limit: dict[str, Any]) -> Any:
+def _lobes(loaded: Any, limit: dict[str, Any]) -> Any:
     """(si, sampler, active) -> local direction and weight of one sample of `g (k S + k_d H)`."""
     lobe, diffuse = limit["lobe"], limit["diffuse"]
     outgoing = limit["cosine"] == "outgoing"
@@ -82,6 +92,10 @@ def _lobes(limit: dict[str, Any]) -> Any:
     context = mi.BSDFContext()
     factor = dr.opaque(mi.Float, lobe)
 
+    def shown(si: Any) -> Any:
+        # `twosided` turns the lobe to the viewer; about the normal of a face it is 0 from behind.
+        return True if loaded.description["normals"] == "viewer" else si.wi.z > 0.0
+
     def visible_normals(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         bs, weight = si.bsdf().sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
         weight = weight * factor
@@ -89,13 +103,13 @@ def _lobes(limit: dict[str, Any]) -> Any:
             # The view's cosine in place of the light's; the weight's G1 falls as fast as the latter.
             ratio = mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(bs.wo)
             weight = dr.select(dr.any(weight != 0.0), weight * ratio, 0.0)
-        return bs.wo, weight
+        return bs.wo, dr.select(shown(si), weight, 0.0)
 
     def either(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         wo, weight = visible_normals(si, sampler, active)
         share = diffuse / (diffuse + lobe)
         gloss = si.bsdf().eval_diffuse_reflectance(si, active)
-        cosine = ambient.towards_viewer(si, mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active)))
+        cosine = rays.side(loaded, si) * mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
         chosen = sampler.next_1d(active) < share
         return dr.select(chosen, cosine, wo), dr.select(
             chosen, gloss * (diffuse / share), weight / (1.0 - share)
@@ -103,10 +117,10 @@ def _lobes(limit: dict[str, Any]) -> Any:
 
     def on_rings(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         local = ambient.ring_direction(sampler.next_2d(active), limit["rings"])
-        wo = ambient.towards_viewer(si, local)
+        wo = rays.side(loaded, si) * local
         bsdf = si.bsdf()
         gloss = bsdf.eval_diffuse_reflectance(si, active)
-        weight = (2.0 * dr.pi) * factor * bsdf.eval(context, si, wo, active)
+        weight = (2.0 * dr.pi) * factor * dr.select(shown(si), bsdf.eval(context, si, wo, active), 0.0)
         return wo, weight + gloss * (2.0 * diffuse * local.z)
 
     if limit["rings"] is not None:

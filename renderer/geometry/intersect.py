@@ -41,6 +41,13 @@ class Hit(NamedTuple):
     b2: float
 
 
+class FaceRange(NamedTuple):
+    """Faces first <= face < end: those that a ray passes because it leaves them."""
+
+    first: int
+    end: int
+
+
 @device
 def component(v: Vec3, axis: int) -> float:
     """Component 0, 1 or 2."""

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from renderer.geometry.bvh import Tree
-from renderer.geometry.intersect import Hit, Ray, intersect_triangle
+from renderer.geometry.intersect import FaceRange, Hit, Ray, intersect_triangle
 from renderer.jit import device
 from renderer.vector import entry
 
@@ -41,8 +41,10 @@ def _enter(bounds: np.ndarray, node: int, ray: Ray, far: float) -> float:
 
 
 @device
-def closest_hit(corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: int, stack: np.ndarray) -> Hit:
-    """Nearest hit at 0 < t <= far on any face but `ignore`; `stack` is int32 scratch of STACK_SIZE."""
+def closest_hit(
+    corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray
+) -> Hit:
+    """Nearest hit at 0 < t <= far on any face but those of `ignore`; `stack` is int32 scratch of STACK_SIZE."""
     best = Hit(far, -1, 0.0, 0.0)
     if len(tree.right) == 0:
         return best
@@ -54,7 +56,7 @@ def closest_hit(corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: i
         if tree.count[node] > 0:
             for i in range(tree.first[node], tree.first[node] + tree.count[node]):
                 face = entry(tree.order, i)
-                if face != ignore:
+                if face < ignore.first or face >= ignore.end:
                     hit = intersect_triangle(ray, corners, face, best.t)
                     if hit.face >= 0 and (hit.t < best.t or best.face < 0 or face < best.face):
                         best = hit
@@ -86,9 +88,9 @@ def closest_hit(corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: i
 
 @device
 def any_hit(
-    corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: int, target: int, stack: np.ndarray
+    corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, target: int, stack: np.ndarray
 ) -> bool:
-    """Whether a face other than `ignore` and `target` is hit at 0 < t < far."""
+    """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far."""
     if len(tree.right) == 0 or _enter(tree.bounds, 0, ray, far) == math.inf:
         return False
     size = 0
@@ -97,7 +99,7 @@ def any_hit(
         if tree.count[node] > 0:
             for i in range(tree.first[node], tree.first[node] + tree.count[node]):
                 face = entry(tree.order, i)
-                if face != ignore and face != target:
+                if (face < ignore.first or face >= ignore.end) and face != target:
                     hit = intersect_triangle(ray, corners, face, far)
                     if hit.face >= 0 and hit.t < far:
                         return True

@@ -47,7 +47,7 @@ def direct_next_event(
         return weight
     straight = light_irradiance(scene, surface, sampler, LIGHT, stack)
     scattered = estimate_irradiance(scene, photons, surface, stack)
-    return mul(weight, mad(scattered, INV_PI, straight))
+    return scale(mul(weight, mad(scattered, INV_PI, straight)), scene.irradiance_factor)
 
 
 @device
@@ -56,7 +56,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, stack: n
 
     Roulette survives with the largest channel of the albedo and divides by it.
     """
-    throughput = vec3(scene.materials.diffuse, surface.object)
+    throughput = scale(vec3(scene.materials.diffuse, surface.object), scene.irradiance_factor)
     radiance = Vec3(0.0, 0.0, 0.0)
     vertex = 0
     while not is_black(throughput):
@@ -74,6 +74,23 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, stack: n
         vertex += 1
         sampler = Sampler(fold(sampler.key, _PATH + vertex), sampler.index)
     return radiance
+
+
+@device
+def direct_nearest(
+    scene: SceneArrays,
+    photons: PhotonMap,
+    factor: float,
+    surface: Surface,
+    heap: np.ndarray,
+    chosen: np.ndarray,
+) -> Vec3:
+    """`factor` times the paper's estimate by the k nearest photons; k is the length of the scratch arrays."""
+    weight = vec3(scene.materials.diffuse, surface.object)
+    if is_black(weight):
+        return weight
+    irradiance = nearest_irradiance(photons, surface, len(heap), heap, chosen)
+    return scale(mul(weight, irradiance), factor * INV_PI * scene.irradiance_factor)
 
 
 @kernel
@@ -125,7 +142,9 @@ def _photon_map(
                     weight = vec3(scene.materials.diffuse, surface.object)
                     if not is_black(weight):
                         irradiance = estimate_irradiance(scene, photons, surface, stack)
-                        accumulate(out, x, y, scale(mul(weight, irradiance), INV_PI))
+                        accumulate(
+                            out, x, y, scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
+                        )
 
 
 @kernel
@@ -148,10 +167,8 @@ def _nearest(
             for index in range(first, last):
                 surface, _ = first_surface(scene, key, x, y, index, stack)
                 if surface.face >= 0 and not shadowed(scene, surface, stack):
-                    weight = vec3(scene.materials.diffuse, surface.object)
-                    if not is_black(weight):
-                        irradiance = nearest_irradiance(photons, surface, nearest, heap, chosen)
-                        accumulate(out, x, y, scale(mul(weight, irradiance), factor * INV_PI))
+                    radiance = direct_nearest(scene, photons, factor, surface, heap, chosen)
+                    accumulate(out, x, y, radiance)
 
 
 def _limit(scene: Scene, samples: int) -> Limit:

@@ -35,7 +35,8 @@ from renderer.sky import sky_radiance
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, shadowed, trace
 from renderer.terms.ambient import COSINE, ambient_radiance
-from renderer.terms.direct import direct_next_event, direct_path
+from renderer.terms.ambient import PAPER as PAPER_AMBIENT
+from renderer.terms.direct import direct_nearest, direct_next_event, direct_path
 from renderer.terms.variant import Chain, Stored, Variant
 from renderer.vector import (
     Vec3,
@@ -70,13 +71,15 @@ def sample_variant(
     lobe: int, rings: int, wo: Vec3, alpha: float, f0: Vec3, u: float, v: float
 ) -> tuple[Vec3, Vec3]:
     """Direction w_i and its weight by the estimator `lobe`, in the local frame."""
-    if lobe == VNDF:
+    if lobe == VNDF and wo.z > 0.0:
         return sample_lobe(wo, alpha, f0, u, v)
     if lobe == PAPER_CODE or lobe == PAPER_CODE_NO_PI:
         u = ring_cosine(u, rings)
     wi = hemisphere_ring(u, v)
     if wo.z <= 0.0:
-        return wi, Vec3(0.0, 0.0, 0.0)
+        # Seen from behind: the lobe is 0, what the paper's code adds to it is not.
+        rest = wi.z if lobe == PAPER_CODE or lobe == PAPER_CODE_NO_PI else 0.0
+        return wi, Vec3(rest, rest, rest)
     dfg = eval_dfg(wi, wo, alpha, f0)
     if lobe == UNIFORM:
         return wi, scale(dfg, 0.5 * math.pi / wo.z)
@@ -88,31 +91,40 @@ def sample_variant(
     return wi, mad(dfg, weight, Vec3(wi.z, wi.z, wi.z))
 
 
+_NEXT_EVENT, _PATH, _NEAREST = range(3)
+
+
 @device
 def _diffuse(
     scene: SceneArrays,
+    direct: int,
     photons: PhotonMap,
-    unbiased: bool,
+    heap: np.ndarray,
+    chosen: np.ndarray,
     surface: Surface,
     sampler: Sampler,
     stack: np.ndarray,
 ) -> Vec3:
     """Ambient + direct at a vertex of the chain."""
     dark = shadowed(scene, surface, stack)
-    ambient = ambient_radiance(scene, COSINE, surface, dark, sampler, stack)
+    rule = PAPER_AMBIENT if direct == _NEAREST else COSINE
+    radiance = ambient_radiance(scene, rule, surface, dark, sampler, stack)
     if dark:
-        return ambient
-    if unbiased:
-        return add(ambient, direct_path(scene, surface, sampler, stack))
-    return add(ambient, direct_next_event(scene, photons, surface, sampler, stack))
+        return radiance
+    if direct == _PATH:
+        return add(radiance, direct_path(scene, surface, sampler, stack))
+    if direct == _NEAREST:
+        return add(radiance, direct_nearest(scene, photons, 1.0, surface, heap, chosen))
+    return add(radiance, direct_next_event(scene, photons, surface, sampler, stack))
 
 
 @kernel
 def _chain(
     scene: SceneArrays,
     lobe: int,
+    direct: int,
     photons: PhotonMap,
-    unbiased: bool,
+    nearest: int,
     key: np.uint64,
     first: int,
     last: int,
@@ -120,6 +132,8 @@ def _chain(
     out: np.ndarray,
 ) -> None:
     stack = np.empty(STACK_SIZE, np.int32)
+    heap = np.empty(nearest)
+    chosen = np.empty(nearest, np.int64)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
@@ -154,16 +168,24 @@ def _chain(
                     if surface.face < 0:
                         radiance = sky_radiance(scene.sky, origin, direction)
                     else:
-                        radiance = _diffuse(scene, photons, unbiased, surface, sampler, stack)
+                        radiance = _diffuse(scene, direct, photons, heap, chosen, surface, sampler, stack)
                     accumulate(out, x, y, mul(throughput, radiance))
 
 
 def _inputs(lobe: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:
-    # With scope `first-hit` light sampling is exact: there is no chain of diffuse bounces to follow.
-    return lambda scene, chain, photons: (lobe, photons, chain == "path" and scene.scope == "all")
+    def inputs(scene: Scene, chain: Chain, photons: PhotonMap) -> tuple[Any, ...]:
+        if chain == "paper":
+            return lobe, _NEAREST, photons, scene.photons.nearest
+        # With scope `first-hit` light sampling is exact: there is no chain of diffuse bounces to follow.
+        unbiased = chain == "path" and scene.scope == "all"
+        return lobe, _PATH if unbiased else _NEXT_EVENT, photons, 0
+
+    return inputs
 
 
 def _photons(scene: Scene, chain: Chain) -> Stored | None:
+    if chain == "paper":
+        return "all"
     return "scattered" if scene.scope == "all" and chain == "next-event" else None
 
 

@@ -10,9 +10,10 @@ from scenes.limits import Kernel, Limit
 from scenes.model import Scene
 from scenes.terms import Term
 
-# Which direct estimator the vertices of a specular chain use: the product's default, or the unbiased one that a study
-# of specular variants uses, so that kernel bias cannot leak into its verdict.
-Chain = Literal["next-event", "path"]
+# What the other terms are at the vertices of a specular chain. Direct is "next-event", the product's default, or
+# "path", the unbiased one that a study of specular variants uses, so that kernel bias cannot leak into its verdict;
+# ambient is `cosine` with both. "paper": the variants `paper` of both, as the paper's program has them.
+Chain = Literal["next-event", "path", "paper"]
 # Photons kept in a map: those that were scattered at least once, or all; or all, those that survive the roulette being
 # left as they were.
 Stored = Literal["scattered", "all", "unweighted"]

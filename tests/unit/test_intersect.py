@@ -13,7 +13,7 @@ import trimesh
 
 from renderer.geometry import bvh
 from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.intersect import Hit, intersect_triangle, make_ray
+from renderer.geometry.intersect import FaceRange, Hit, intersect_triangle, make_ray
 from renderer.geometry.traverse import any_hit, closest_hit
 from renderer.vector import Vec3
 
@@ -28,11 +28,11 @@ class Soup:
 
     def closest(self, origin, direction, far: float = math.inf, ignore: int = -1) -> Hit:
         ray = make_ray(Vec3(*map(float, origin)), Vec3(*map(float, direction)))
-        return closest_hit(self.corners, self.tree, ray, far, ignore, self.stack)
+        return closest_hit(self.corners, self.tree, ray, far, FaceRange(ignore, ignore + 1), self.stack)
 
     def any(self, origin, direction, far: float = math.inf, ignore: int = -1, target: int = -1) -> bool:
         ray = make_ray(Vec3(*map(float, origin)), Vec3(*map(float, direction)))
-        return any_hit(self.corners, self.tree, ray, far, ignore, target, self.stack)
+        return any_hit(self.corners, self.tree, ray, far, FaceRange(ignore, ignore + 1), target, self.stack)
 
 
 def brute_force(corners: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int, float]:
