@@ -125,7 +125,9 @@ def loaded(scene: Scene) -> Any:
 
     Only one is kept, because every material that exists is compiled into every kernel.
     """
-    content = scene.digest(without=("name", "exposure", "photons", "scope", "rings", "shadows"))
+    content = scene.digest(
+        without=("name", "exposure", "photons", "scope", "rings", "shadows", "intersection")
+    )
     if content not in _loaded:
         from reference.backend import import_mitsuba
 

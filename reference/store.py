@@ -25,12 +25,12 @@ from scenes.model import Scene
 from scenes.store import PROJECT, sources_digest, write_atomically
 from scenes.terms import Term
 
-_ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope", "rings", "shadows")
+_ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope", "rings", "shadows", "intersection")
 _IRRELEVANT: dict[Term, tuple[str, ...]] = {
-    "ambient": ("lights", "sky", "max_bounces", "draw_lights"),
+    "ambient": ("lights", "sky", "max_bounces", "draw_lights", "irradiance"),
     "direct": ("ambient", "sky", "max_bounces", "draw_lights"),
     "specular": ("draw_lights",),
-    "background": ("ambient", "lights", "max_bounces"),
+    "background": ("ambient", "lights", "max_bounces", "irradiance", "ignore", "normals"),
 }
 
 

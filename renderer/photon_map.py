@@ -57,6 +57,11 @@ def progressive_radius(radius: float, index: int) -> float:
     return math.sqrt(square)
 
 
+def mean_radius(radius: float, passes: int) -> float:
+    """Root of the mean r² over the passes: the one radius that has the same bias, as far as it is O(r²)."""
+    return math.sqrt(sum(progressive_radius(radius, i) ** 2 for i in range(passes)) / passes)
+
+
 @kernel
 def _sort(
     position: np.ndarray,

@@ -23,10 +23,10 @@ from scenes.store import PROJECT, sources_digest, write_atomically
 
 # What cannot change a term's image; `scope` changes direct, and specular through it.
 _IRRELEVANT = {
-    "ambient": ("lights", "sky", "photons", "scope", "max_bounces", "draw_lights"),
+    "ambient": ("lights", "sky", "photons", "scope", "max_bounces", "draw_lights", "irradiance"),
     "direct": ("ambient", "sky", "max_bounces", "rings", "draw_lights"),
     "specular": ("draw_lights",),
-    "background": ("ambient", "photons", "scope", "max_bounces", "rings"),
+    "background": ("ambient", "photons", "scope", "max_bounces", "rings", "irradiance", "ignore", "normals"),
 }
 
 

@@ -72,12 +72,12 @@ def compare(
     json_
         Print results.json on standard output.
     """
-    from reports import page, run
+    from reports import page, run, subjects
     from reports import study as studies
 
     mitsuba = _choose_backend(backend)
     chosen = studies.load(study)
-    prepared = run.scenes_of(chosen, scenes)
+    prepared = subjects.scenes_of(chosen, scenes)
     folder = _folder(out / chosen.folder)
     results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
     if results is None:

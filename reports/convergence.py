@@ -14,7 +14,7 @@ import attrs
 import numpy as np
 from scipy.optimize import fminbound
 
-from reports.verdict import Estimate, gram
+from reports.verdict import LUMINANCE, Estimate, gram
 
 SLOPES = 0.1, 3.0
 """Range of a that is searched: a slower fall looks like none, a faster one like a floor."""
@@ -77,6 +77,24 @@ def mean_square_error(ours: np.ndarray, reference: np.ndarray) -> Estimate:
         R = 1 is taken as exact.
     """
     return gram(ours, reference).estimate(np.array([[1.0, -1.0], [-1.0, 1.0]]), (1.0, 0.0))
+
+
+def relative_error(ours: np.ndarray, reference: np.ndarray) -> Estimate:
+    """Error of the mean luminance, as a share of the reference's: `mean I_k / mean R - 1`.
+
+    Parameters
+    ----------
+    ours, reference : (K, H, W, 3) and (R, H, W, 3) floating
+        Replicates; the mean of the reference is not 0.
+    """
+    a, b = (np.dot(np.mean(each, axis=(1, 2), dtype=np.float64), LUMINANCE) for each in (ours, reference))
+
+    def without_one(values: np.ndarray) -> np.ndarray:
+        return (values.sum() - values) / (len(values) - 1)
+
+    a_mean, b_mean = a.mean(), b.mean()
+    leave_one_out = without_one(a) / b_mean - 1.0, a_mean / without_one(b) - 1.0
+    return Estimate(float(a_mean / b_mean - 1.0), leave_one_out)
 
 
 def fit(

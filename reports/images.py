@@ -2,7 +2,8 @@
 
 An EXR holds one part per term image and reference, float32, linear Rec. 709, with its provenance in the header.
 `results.nc` has a group a scene: `image(cell, y, x, channel)` and `reference(limit, y, x, channel)`, means over
-replicates with the variance of the mean, and for each cell the indices of its own, correct and physical limit.
+replicates with the variance of the mean, and for each cell the indices of its own, correct and physical limit, -1 where
+there is none.
 """
 
 import errno
@@ -15,12 +16,12 @@ import OpenEXR
 import xarray
 
 from reports.cells import Cell
+from reports.subjects import Subject
 from reports.verdict import CHANNELS
 from scenes import limits
 from scenes.limits import Limit
-from scenes.model import Scene
 from scenes.store import write_atomically
-from scenes.terms import TERMS, TOTAL, TermImage, total
+from scenes.terms import TERMS, TOTAL, Term, TermImage, total
 
 
 def write_exr(path: Path, parts: dict[str, np.ndarray], header: dict[str, str]) -> None:
@@ -78,6 +79,8 @@ def limit_name(limit: Limit) -> str:
         words.append(f"plus diffuse {limit.diffuse:.6g}")
     if limit.cosine != "incident":
         words.append(f"{limit.cosine} cosine")
+    if limit.ambient != 1.0:
+        words.append(f"ambient times {limit.ambient:.6g}")
     if limit.rings is not None:
         words.append(f"{limit.rings} rings")
     if limit.shadows != "physical":
@@ -98,12 +101,14 @@ class Pictures:
 
     def write(
         self,
-        scene: Scene,
+        subject: Subject,
         measured: list[Cell],
         references: dict[Limit, np.ndarray],
+        correct: dict[Term, np.ndarray],
         versions: dict[str, str],
     ) -> None:
         """Write the EXR of a scene and keep its group of the dataset."""
+        scene = subject.scene
         ours = {
             (cell.variant.term, cell.variant.name): _summary(cell.images[:, -1], cell.samples[-1])
             for cell in measured
@@ -112,26 +117,31 @@ class Pictures:
         summed = total(*(cell.images[:, -1] for cell in defaults))
         ours[TOTAL, "default"] = _summary(summed, max(cell.samples[-1] for cell in defaults))
         truth = {limit_name(limit): _summary(stack, 0) for limit, stack in references.items()}
-        own = [cell.own for cell in defaults]
-        physical = [limits.physical(term) for term in TERMS]
-        for name, chosen in (("total", own), ("total physical", physical)):
-            shared = min(len(references[limit]) for limit in chosen)
-            truth[name] = _summary(total(*(references[limit][:shared] for limit in chosen)), 0)
-        names = list(truth)
-        indices = np.array(
-            [
-                [
-                    names.index(limit_name(limit))
-                    for limit in (
-                        cell.own,
-                        limits.correct(cell.variant.term, scene.scope),
-                        limits.physical(cell.variant.term),
-                    )
-                ]
-                for cell in measured
-            ]
-            + [[names.index("total"), names.index("total"), names.index("total physical")]]
-        )
+        own = [references[cell.own] for cell in defaults]
+        physical = [references.get(limits.physical(term)) for term in TERMS]
+        sums = {"total": own, "total physical": [stack for stack in physical if stack is not None]}
+        # The right terms of a changed scene are those of another.
+        prefix = "" if subject.base is None else "unchanged "
+        if subject.base is not None:
+            truth |= {
+                prefix + limit_name(subject.correct(term)): _summary(correct[term], 0) for term in TERMS
+            }
+            sums["unchanged total"] = [correct[term] for term in TERMS]
+        for name, chosen in sums.items():
+            if chosen:
+                shared = min(len(stack) for stack in chosen)
+                truth[name] = _summary(total(*(stack[:shared] for stack in chosen)), 0)
+        names = {name: index for index, name in enumerate(truth)}
+        limits_of = [
+            (
+                limit_name(cell.own),
+                prefix + limit_name(subject.correct(cell.variant.term)),
+                limit_name(limits.physical(cell.variant.term)),
+            )
+            for cell in measured
+        ]
+        limits_of.append(("total", f"{prefix}total", "total physical"))
+        indices = np.array([[names.get(name, -1) for name in row] for row in limits_of])
         self.groups[scene.name] = xarray.Dataset(
             {
                 "image": _stacked("cell", [each.mean for each in ours.values()]),
@@ -142,7 +152,7 @@ class Pictures:
             {
                 "cell_term": ("cell", [term for term, _ in ours]),
                 "cell_variant": ("cell", [variant for _, variant in ours]),
-                "limit_name": ("limit", names),
+                "limit_name": ("limit", list(truth)),
                 "own": ("cell", indices[:, 0]),
                 "correct": ("cell", indices[:, 1]),
                 "physical": ("cell", indices[:, 2]),

@@ -22,25 +22,31 @@ import attrs
 import numpy as np
 
 from reference import backend, store
-from renderer.plan import check, plan, skipped
-from renderer.terms import VARIANTS, Variant
+from renderer import photon_map
+from renderer.plan import plan, skipped
+from renderer.terms import Variant
 from renderer.tiles import Engine
 from reports import cells, closed_forms, exact, images, metrics, verdict
 from reports.cells import Cell
-from reports.convergence import PREFIXES_NEEDED, Convergence, fit, mean_square_error
+from reports.convergence import (
+    PREFIXES_NEEDED,
+    Convergence,
+    extrapolate,
+    fit,
+    mean_square_error,
+    relative_error,
+)
 from reports.exact import Case
 from reports.study import Study
+from reports.subjects import CHAIN, Subject, own_limit, subjects
 from reports.verdict import Estimate, Statistics, Verdict
 from scenes import limits
 from scenes.limits import Limit
-from scenes.load import load
 from scenes.model import Scene
 from scenes.store import PROJECT, cache_folder, sources_digest, write_atomically
 from scenes.terms import TERMS, TOTAL, Term, total
 
 SCHEMA = 1
-# Direct at the vertices of a specular chain, in all cells: kernel bias must not leak into a specular verdict.
-CHAIN = "path"
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
 
@@ -59,55 +65,26 @@ class _Row:
 
 @attrs.frozen(eq=False)
 class References:
-    """Replicates of a scene's limits, (R, H, W, 3) float32 each, and the seconds that they took."""
+    """Replicates of what a subject is measured against.
 
-    images: dict[Limit, np.ndarray]
-    seconds: dict[Limit, float]
-    spp: dict[Limit, int]
-    shortfall: dict[Limit, str]
+    Attributes
+    ----------
+    rendered : of each limit of its scene.
+    correct : of each term, the true integral in the unchanged scene.
+    """
 
-    def described(self, *limits: Limit) -> dict[str, Any]:
-        """What a row says of the references that it was measured against."""
-        fields: dict[str, Any] = {
-            "reference_samples": self.spp[limits[0]],
-            "reference_seconds": sum(self.seconds[limit] for limit in limits),
-        }
-        shortfall = [self.shortfall[limit] for limit in limits if limit in self.shortfall]
-        return fields | ({"reference_shortfall": "; ".join(shortfall)} if shortfall else {})
+    rendered: dict[Limit, store.Replicates]
+    correct: dict[Term, store.Replicates]
 
 
-def scenes_of(study: Study, names: tuple[str, ...] = ()) -> tuple[Scene, ...]:
-    """Scenes of a study, or those named, at the study's resolution."""
-    prepared = []
-    for name in names or study.scenes:
-        scene = attrs.evolve(load(name), resolution=study.resolution)
-        if study.photons and study.photons < scene.photons.count:
-            scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=study.photons))
-        prepared.append(scene)
-    twice = [scene.name for scene in prepared]
-    for name in twice:
-        if twice.count(name) > 1:
-            raise ValueError(f"scenes: {name!r} is named twice: allowed are distinct names")
-    return tuple(prepared)
-
-
-def variants_of(study: Study, scene: Scene, term: Term) -> tuple[Variant, ...]:
-    """Variants of a term that mean what the scene means: those whose limit has the scene's scope."""
-    chosen = [VARIANTS[term][name] for name in study.variants_of(term)]
-    return tuple(variant for variant in chosen if variant.limit(scene, 1).scope in (None, scene.scope))
-
-
-def own_limit(study: Study, scene: Scene, variant: Variant) -> Limit:
-    """What a variant is judged against: its twin where it estimates a density and the study renders twins."""
-    samples = study.samples_of(variant)
-    limit, kernel = variant.limit(scene, samples), variant.kernel(scene, samples)
-    if study.twin_maps is None or kernel is None:
-        return limit
-    # The twin scatters diffusely, knows no shadow rule, and its roulette decides how densely the nearest photons lie.
-    photons = scene.photons
-    served = photons.scattering == "diffuse" and scene.shadows == "physical"
-    served &= photons.survival is None or kernel.shape != "nearest"
-    return attrs.evolve(limit, kernel=kernel) if served else limit
+def _described(*used: store.Replicates) -> dict[str, Any]:
+    """What a row says of the references that it was measured against."""
+    fields: dict[str, Any] = {
+        "reference_samples": used[0].spp,
+        "reference_seconds": float(sum(np.sum(each.seconds) for each in used)),
+    }
+    shortfall = "; ".join(each.shortfall for each in used if each.shortfall)
+    return fields | ({"reference_shortfall": shortfall} if shortfall else {})
 
 
 def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
@@ -158,21 +135,18 @@ def measure(
     dict
         What `results.json` holds.
     """
-    for scene in scenes:
-        for term in TERMS:
-            for variant in variants_of(study, scene, term):
-                check(scene, variant)
+    measured_subjects = list(subjects(study, scenes))
     chosen = backend.choose()
     waiting: list[_Row] = []
     described: dict[str, Any] = {}
+    extrapolations: list[dict[str, Any]] = []
     pictures = images.Pictures(folder)
-    steps = sum(
-        study.replicates * sum(len(variants_of(study, scene, term)) for term in TERMS)
-        + study.reference_replicates * len(_limits(study, scene))
-        for scene in scenes
-    )
     known = list(exact.cases(study))
-    steps += study.replicates * len(known)
+    steps = study.replicates * len(known) + sum(
+        study.replicates * len(_estimates(study, subject))
+        + study.reference_replicates * len(_limits(study, subject))
+        for subject in measured_subjects
+    )
     done = 0
 
     def advance(what: str) -> None:
@@ -180,31 +154,41 @@ def measure(
         done += 1
         report(what, done, steps)
 
-    for scene in scenes:
-        references = _references(study, scene, advance)
+    found: dict[str, References] = {}
+    for subject in measured_subjects:
+        scene = subject.scene
+        references = _references(study, subject, found.get(subject.unchanged.name), advance)
+        found[scene.name] = references
         with Engine(scene) as engine:
             objects = engine.geometry().object
             measured = [
                 cells.cell(
                     engine,
                     variant,
-                    own=own_limit(study, scene, variant),
+                    own=own_limit(study, subject, variant),
                     samples=study.samples_of(variant),
                     replicates=study.replicates,
                     seed=study.seed,
-                    chain=CHAIN,
+                    chain=subject.chain,
                     folder=cache_folder() / "cells",
                     progress=lambda scene=scene, term=term, variant=variant: advance(
                         f"{scene.name}: {term} {variant.name}"
                     ),
                 )
                 for term in TERMS
-                for variant in variants_of(study, scene, term)
+                for variant in subject.variants[term]
             ]
         report(f"{scene.name}: measuring", done, steps)
-        waiting += _rows(study, scene, measured, references, objects)
-        pictures.write(scene, measured, references.images, versions())
-        described[scene.name] = _describe(study, scene)
+        waiting += _rows(study, subject, measured, references, objects)
+        pictures.write(
+            subject,
+            measured,
+            {limit: kept.images for limit, kept in references.rendered.items()},
+            {term: kept.images for term, kept in references.correct.items()},
+            versions(),
+        )
+        described[scene.name] = _describe(subject)
+        extrapolations += _extrapolations(study, subject, measured, references, advance)
     for case in known:
         waiting += _exact_rows(study, case, lambda case=case: advance(f"{case.name}: {case.variant.name}"))
     tests = sum(_tests(row) for row in waiting if row.judged)
@@ -231,14 +215,11 @@ def measure(
                 "reference samples per pixel": study.reference_spp,
                 "samples per pixel of full light transport": study.physical_spp,
                 "direct at the vertices of a specular chain": CHAIN,
-                "what a ray ignores that leaves a face": "the same face",
-                "normals": "turned towards the viewer",
-                "irradiance read as": "E / pi",
-                "intersection": "watertight, float64",
             },
             "scenes": described,
         },
         "cells": rows,
+        "extrapolations": extrapolations,
     }
     pictures.close()
     # A page of an earlier run must not stand beside new results, should this one end here.
@@ -248,15 +229,22 @@ def measure(
     return results
 
 
-def _limits(study: Study, scene: Scene) -> tuple[Limit, ...]:
-    """Every limit that a scene's rows are measured against, each once."""
+def _limits(study: Study, subject: Subject) -> tuple[Limit, ...]:
+    """Every limit of its scene that a subject's rows are measured against, each once."""
     wanted: dict[Limit, None] = {}
     for term in TERMS:
-        for variant in variants_of(study, scene, term):
-            wanted[own_limit(study, scene, variant)] = None
-        wanted[limits.correct(term, scene.scope)] = None
-        wanted[limits.physical(term)] = None
+        for variant in subject.variants[term]:
+            wanted[own_limit(study, subject, variant)] = None
+        if subject.base is None:
+            wanted[subject.correct(term)] = None
+            wanted[limits.physical(term)] = None
     return tuple(wanted)
+
+
+def _estimates(study: Study, subject: Subject) -> list[Variant]:
+    """The variants of a subject, and those of them that are measured again at each of the study's radii."""
+    every = [variant for term in TERMS for variant in subject.variants[term]]
+    return every + [variant for variant in _of_radius(subject) for _ in study.radii]
 
 
 def _reference_samples(study: Study, limit: Limit) -> int:
@@ -267,37 +255,49 @@ def _reference_samples(study: Study, limit: Limit) -> int:
     return study.physical_spp if limit.transport == "physical" else study.reference_spp
 
 
-def _references(study: Study, scene: Scene, advance: Callable[[str], None]) -> References:
-    found = References({}, {}, {}, {})
-    for limit in _limits(study, scene):
-        kept = store.replicates(
-            scene,
+def _references(
+    study: Study, subject: Subject, unchanged: References | None, advance: Callable[[str], None]
+) -> References:
+    rendered = {
+        limit: store.replicates(
+            subject.scene,
             limit,
             spp=_reference_samples(study, limit),
             seed=study.seed,
             count=study.reference_replicates,
             folder=cache_folder() / "reference",
-            progress=lambda limit=limit: advance(f"{scene.name}: reference {limit.term}"),
+            progress=lambda limit=limit: advance(f"{subject.scene.name}: reference {limit.term}"),
         )
-        found.images[limit] = kept.images
-        found.seconds[limit] = float(np.sum(kept.seconds))
-        found.spp[limit] = kept.spp
-        if kept.shortfall:
-            found.shortfall[limit] = kept.shortfall
-    return found
+        for limit in _limits(study, subject)
+    }
+    if unchanged is not None:
+        return References(rendered, unchanged.correct)
+    return References(rendered, {term: rendered[subject.correct(term)] for term in TERMS})
+
+
+def _luminance(images: np.ndarray) -> float:
+    return float(np.dot(np.mean(images, axis=(0, 1, 2), dtype=np.float64), verdict.LUMINANCE))
+
+
+def _identity(subject: Subject, term: str, variant: str, kind: str, against: str) -> dict[str, Any]:
+    return {
+        "scene": subject.scene.name,
+        "base": subject.base.name if subject.base else None,
+        "setting": subject.setting.name if subject.setting else None,
+        "term": term,
+        "variant": variant,
+        "kind": kind,
+        "scope": subject.scene.scope,
+        "against": against,
+    }
 
 
 def _rows(
-    study: Study, scene: Scene, measured: list[Cell], references: References, objects: np.ndarray
+    study: Study, subject: Subject, measured: list[Cell], references: References, objects: np.ndarray
 ) -> list[_Row]:
+    scene = subject.scene
     names = [thing.name for thing in scene.objects]
-    correct = {term: limits.correct(term, scene.scope) for term in TERMS}
-    physical = {term: limits.physical(term) for term in TERMS}
-
-    def luminance(images: np.ndarray) -> float:
-        return float(np.dot(np.mean(images, axis=(0, 1, 2), dtype=np.float64), verdict.LUMINANCE))
-
-    fallback = sum(luminance(references.images[limit]) for limit in correct.values()) or 1.0
+    fallback = sum(_luminance(kept.images) for kept in references.correct.values()) or 1.0
     rows: list[_Row] = []
 
     def statistics(ours: np.ndarray, reference: np.ndarray, what: str = TOTAL) -> Statistics:
@@ -309,77 +309,129 @@ def _rows(
     for cell in measured:
         variant = cell.variant
         term = variant.term
-        own = cell.own
-        reference = references.images[own]
+        own, correct = references.rendered[cell.own], references.correct[term]
         what = f"{term} {variant.name}"
-        at_own = statistics(cell.images[:, -1], reference, what)
+        at_own = statistics(cell.images[:, -1], own.images, what)
         # Against its twin a kernel estimate is judged like any other.
-        kernel = variant.kernel_based(scene) and own.kernel is None
-        judged = variant.judged or own.kernel is not None
-        errors = [mean_square_error(cell.images[:, p], reference) for p in range(len(cell.samples))]
+        kernel = variant.kernel_based(scene) and cell.own.kernel is None
+        judged = variant.judged or cell.own.kernel is not None
+        kind = variant.kind if subject.setting is None else "wrong"
+        errors = [mean_square_error(cell.images[:, p], own.images) for p in range(len(cell.samples))]
         curve = None
         if len(cell.samples) >= PREFIXES_NEEDED and not at_own.absent:
             seconds = cell.seconds.mean(axis=0)
             curve = fit(cell.samples, errors, seconds=seconds, bias_squared=at_own.bias_squared)
-        base = {
-            "scene": scene.name,
-            "term": term,
-            "variant": variant.name,
-            "kind": variant.kind,
-            "scope": scene.scope,
-        }
-        own_mean, correct_mean = luminance(reference), luminance(references.images[correct[term]])
+        own_mean, correct_mean = _luminance(own.images), _luminance(correct.images)
         for p in reversed(range(len(cell.samples))):
             last = p == len(cell.samples) - 1
             rows.append(
                 _row(
-                    {**base, "against": "own", **_curve(curve if last else None)},
+                    _identity(subject, term, variant.name, kind, "own") | _curve(curve if last else None),
                     cell.images[:, p],
-                    reference,
+                    own.images,
                     scene,
                     statistics=at_own if last else None,
                     samples=cell.samples[p],
                     seconds=float(cell.seconds[:, p].sum()),
                     compile_seconds=cell.compile_seconds if last else None,
                     error=errors[p],
-                    source=references.described(own),
-                    kind=variant.kind,
+                    source=_described(own),
+                    kind=kind,
                     kernel=kernel,
                     allowance=variant.allowance if kernel else 0.0,
-                    margin=verdict.margin_of(variant.kind, own_mean, correct_mean),
+                    margin=verdict.margin_of(kind, own_mean, correct_mean),
                     judged=last and judged,
                     predicted_bias=0.0 if judged else None,
                     reason=skipped(scene, term) or "the camera sees nothing of it",
                 )
             )
-        ratio = variant.ratio(scene)
-        measured_ratio = own_mean / correct_mean if correct_mean > 0 else None
-        for against, limit in (("correct", correct[term]), ("physical", physical[term])):
-            predicted = ratio if against == "correct" and ratio is not None else None
-            if against == "correct" and predicted is None and judged:
-                predicted = measured_ratio
-            if against == "physical" and variant.name != study.variants_of(term)[0]:
-                continue
+        ratio = variant.ratio(scene) if subject.setting is None else None
+        if ratio is None and judged and correct_mean > 0:
+            ratio = own_mean / correct_mean
+        others = [("correct", correct, ratio)]
+        # The first variant, the product's own: how far the paper's decomposition is from light transport.
+        if subject.setting is None and variant is subject.variants[term][0]:
+            others.append(("physical", references.rendered[limits.physical(term)], None))
+        for against, kept, predicted in others:
             rows.append(
                 _row(
-                    {**base, "against": against},
+                    _identity(subject, term, variant.name, kind, against),
                     cell.images[:, -1],
-                    references.images[limit],
+                    kept.images,
                     scene,
-                    statistics=at_own
-                    if limit == own
-                    else statistics(cell.images[:, -1], references.images[limit], what),
+                    statistics=at_own if kept is own else statistics(cell.images[:, -1], kept.images, what),
                     samples=cell.samples[-1],
                     seconds=float(cell.seconds[:, -1].sum()),
-                    source=references.described(limit),
-                    kind=variant.kind,
+                    source=_described(kept),
+                    kind=kind,
                     kernel=kernel,
                     judged=False,
                     predicted_bias=None if predicted is None else predicted - 1.0,
                 )
             )
-    rows += _total_rows(study, scene, measured, references, statistics)
+    rows += _total_rows(subject, measured, references, statistics)
     return rows
+
+
+def _of_radius(subject: Subject) -> list[Variant]:
+    """The right direct estimators of a scene whose photon kernel has a radius."""
+    if subject.setting is not None or skipped(subject.scene, "direct"):
+        return []
+    kernels = {variant: variant.kernel(subject.scene, 1) for variant in subject.variants["direct"]}
+    return [variant for variant, kernel in kernels.items() if kernel and kernel.shape != "nearest"]
+
+
+def _extrapolations(
+    study: Study,
+    subject: Subject,
+    measured: list[Cell],
+    references: References,
+    advance: Callable[[str], None],
+) -> list[dict[str, Any]]:
+    """Relative error of the mean at each radius of the study, against the true integral, and extrapolated to 0."""
+    scene = subject.scene
+    correct = references.correct["direct"].images
+    found = []
+    for variant in _of_radius(subject):
+        samples = study.samples_of(variant)
+        radii, errors = [], []
+        for factor in study.radii:
+            photons = attrs.evolve(scene.photons, radius=factor * scene.photons.radius)
+            with Engine(attrs.evolve(scene, photons=photons)) as engine:
+                cell = cells.cell(
+                    engine,
+                    variant,
+                    own=variant.limit(scene, samples),
+                    samples=samples,
+                    replicates=study.replicates,
+                    seed=study.seed,
+                    chain=subject.chain,
+                    folder=cache_folder() / "cells",
+                    progress=lambda variant=variant: advance(f"{scene.name}: radii of {variant.name}"),
+                )
+            radii.append(photon_map.mean_radius(photons.radius, samples))
+            errors.append(relative_error(cell.images[:, -1], correct))
+        if not radii:
+            continue
+        zero = extrapolate(radii, errors)
+        points = [(radius, error) for radius, error in zip(radii, errors, strict=True)] + [(0.0, zero)]
+        found.append(
+            {
+                "scene": scene.name,
+                "variant": variant.name,
+                "points": [
+                    {
+                        "radius": radius,
+                        "error": error.value,
+                        "low": error.low(0.05),
+                        "high": error.high(0.05),
+                        "standard_error": error.standard_error,
+                    }
+                    for radius, error in points
+                ],
+            }
+        )
+    return found
 
 
 def _exact_rows(study: Study, case: Case, progress: Callable[[], object]) -> list[_Row]:
@@ -434,50 +486,53 @@ def _exact_rows(study: Study, case: Case, progress: Callable[[], object]) -> lis
 
 
 def _total_rows(
-    study: Study,
-    scene: Scene,
+    subject: Subject,
     measured: list[Cell],
     references: References,
     statistics: Callable[[np.ndarray, np.ndarray], Statistics],
 ) -> list[_Row]:
     """Rows of the sum of the default variants; it carries the allowance of a kernel-based term."""
+    scene = subject.scene
     default = {term: next(c for c in measured if c.variant.term == term) for term in TERMS}
     ours = total(*(default[term].images[:, -1] for term in TERMS))
     by_kernel = [
         c.variant for c in default.values() if c.variant.kernel_based(scene) and c.own.kernel is None
     ]
-    kernel = bool(by_kernel)
     allowance = max((variant.allowance for variant in by_kernel), default=0.0)
+    judged = all(cell.variant.judged or cell.own.kernel for cell in default.values())
+    kind = "right" if subject.setting is None else "wrong"
+
+    def summed(chosen: list[store.Replicates]) -> np.ndarray:
+        shared = min(len(kept.images) for kept in chosen)
+        return total(*(kept.images[:shared] for kept in chosen))
+
+    against = {"own": [references.rendered[default[term].own] for term in TERMS]}
+    if subject.setting is None:
+        against["physical"] = [references.rendered[limits.physical(term)] for term in TERMS]
+    else:
+        against["correct"] = [references.correct[term] for term in TERMS]
+    means = {name: _luminance(summed(chosen)) for name, chosen in against.items()}
+    right = means.get("correct", means["own"])
     rows = []
-    for against, limit_of in (
-        ("own", lambda term: default[term].own),
-        ("physical", limits.physical),
-    ):
-        chosen = tuple(limit_of(term) for term in TERMS)
-        shared = min(len(references.images[limit]) for limit in chosen)
-        reference = total(*(references.images[limit][:shared] for limit in chosen))
+    for name, chosen in against.items():
+        reference = summed(chosen)
+        predicted = {"own": 0.0, "correct": means["own"] / right - 1.0 if right > 0 else None}.get(name)
         rows.append(
             _row(
-                {
-                    "scene": scene.name,
-                    "term": TOTAL,
-                    "variant": "default",
-                    "kind": "right",
-                    "scope": scene.scope,
-                    "against": against,
-                },
+                _identity(subject, TOTAL, "default", kind, name),
                 ours,
                 reference,
                 scene,
                 statistics=statistics(ours, reference),
                 samples=max(cell.samples[-1] for cell in default.values()),
                 seconds=float(sum(cell.seconds[:, -1].sum() for cell in default.values())),
-                source=references.described(*chosen),
-                kind="right",
-                kernel=kernel,
-                allowance=allowance if against == "own" else 0.0,
-                judged=against == "own",
-                predicted_bias=0.0 if against == "own" else None,
+                source=_described(*chosen),
+                kind=kind,
+                kernel=bool(by_kernel),
+                allowance=allowance if name == "own" else 0.0,
+                margin=verdict.margin_of(kind, means["own"], right),
+                judged=name == "own" and judged,
+                predicted_bias=predicted if judged else None,
                 reason="every term is absent",
             )
         )
@@ -564,9 +619,12 @@ _NOT_JUDGED: dict[str, Any] = dict.fromkeys(
 ) | {"warnings": [], "reasons": [], "channels": [], "objects": []}
 
 
-def _describe(study: Study, scene: Scene) -> dict[str, Any]:
-    chosen: dict[Term, Variant] = {term: variants_of(study, scene, term)[0] for term in TERMS}
+def _describe(subject: Subject) -> dict[str, Any]:
+    scene = subject.scene
+    chosen: dict[Term, Variant] = {term: subject.variants[term][0] for term in TERMS}
     return {
+        "base": subject.base.name if subject.base else None,
+        "setting": attrs.asdict(subject.setting) if subject.setting else None,
         "resolution": list(scene.resolution),
         "exposure": scene.exposure,
         "scope": scene.scope,
@@ -581,7 +639,9 @@ def _describe(study: Study, scene: Scene) -> dict[str, Any]:
             else "infinite",
             "point lights": len(scene.lights),
             "area lights": sum(thing.emits for thing in scene.objects),
-            "sky": "texture" if scene.sky.texture is not None else list(scene.sky.color),
+            "sky": f"texture, {scene.sky.projection}"
+            if scene.sky.texture is not None
+            else list(scene.sky.color),
             "pixel rule": scene.camera.pixel,
             "field of view (degrees)": scene.camera.fov,
             "photons per pass": scene.photons.count,
@@ -589,25 +649,30 @@ def _describe(study: Study, scene: Scene) -> dict[str, Any]:
             "k of the paper's photon search": scene.photons.nearest,
             "rings of the paper's rule": scene.rings,
             "shadows": scene.shadows,
+            "direct light read as": scene.irradiance,
+            "what a ray ignores that leaves a face": f"the same {scene.ignore}",
+            "normals": f"of the {scene.normals}",
+            "intersection": scene.intersection,
             "lights drawn": scene.draw_lights,
             **{
                 f"toggle {name.replace('_', ' ')}": value
                 for name, value in attrs.asdict(scene.toggles).items()
             },
         },
-        "gains": _gains(study, scene),
-        "skips": [attrs.asdict(step) for step in plan(scene, chosen, chain=CHAIN)],
+        "gains": _gains(subject),
+        "skips": [attrs.asdict(step) for step in plan(scene, chosen, chain=subject.chain)],
     }
 
 
-def _gains(study: Study, scene: Scene) -> dict[str, dict[str, float]]:
+def _gains(subject: Subject) -> dict[str, dict[str, float]]:
     """Q of each specular variant on each glossy object, as if all light met this object (see `closed_forms.gain`)."""
+    scene = subject.scene
     glossy = [thing for thing in scene.objects if scene.specular_weight(thing.surface) > 0.0]
     return {
         variant.name: {
             thing.name: closed_forms.gain(variant.limit(scene, 1), thing.surface) for thing in glossy
         }
-        for variant in variants_of(study, scene, "specular")
+        for variant in subject.variants["specular"]
     }
 
 

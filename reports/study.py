@@ -1,13 +1,14 @@
 """A study: which scenes, variants, resolutions, samples and replicates are measured. A preset is a study by name."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import attrs
 
-from renderer.terms import VARIANTS, Variant, find
+from renderer.terms import VARIANTS, Chain, Variant, find
+from reports.convergence import RADII_NEEDED
 from scenes import strict
-from scenes.model import in_range, unit_interval
+from scenes.model import in_range, positive, unit_interval
 from scenes.strict import FileError
 from scenes.terms import Term
 
@@ -27,6 +28,20 @@ def _samples(study: object, attribute: attrs.Attribute, value: dict[str, int]) -
             raise ValueError(f"samples.{name} = {count!r}: unknown key: allowed are {', '.join(known)}")
         if count < 1:
             raise ValueError(f"samples.{name} = {count}: allowed is at least 1")
+
+
+def _distinct(study: object, attribute: attrs.Attribute, value: tuple["Setting", ...]) -> None:
+    names = [setting.name for setting in value]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{attribute.name}: {name!r} is named twice: allowed are distinct names")
+
+
+def _enough(study: object, attribute: attrs.Attribute, value: tuple[float, ...]) -> None:
+    if value and len(set(value)) < RADII_NEEDED:
+        raise ValueError(
+            f"{attribute.name} = {value}: allowed are {RADII_NEEDED} distinct factors or more, or none"
+        )
 
 
 def _some(study: object, attribute: attrs.Attribute, value: tuple[str, ...]) -> None:
@@ -75,6 +90,28 @@ class Exact:
 
 
 @attrs.frozen(kw_only=True)
+class Setting:
+    """A change to scenes: measured against its own limit, and against the terms of the unchanged scene.
+
+    Attributes
+    ----------
+    name : short; the changed scene is called `<scene>.<name>`.
+    what : the change in one sentence.
+    scenes : those scenes of the study that it is measured on.
+    change : field of the scene -> value, tables within tables, as in `scenes.model.Scene`.
+    variants : per term; the first is the one in `total`.
+    chain : what the other terms are at the vertices of a specular chain, see `renderer.terms.variant`.
+    """
+
+    name: str = attrs.field(validator=attrs.validators.matches_re(r"[a-z0-9]+(-[a-z0-9]+)*"))
+    what: str
+    scenes: tuple[str, ...] = attrs.field(validator=_some)
+    change: dict[str, Any]
+    variants: Variants = Variants(ambient=("cosine",), direct=("path",), specular=("vndf",))
+    chain: Chain = "path"
+
+
+@attrs.frozen(kw_only=True)
 class Study:
     """What is measured, and how often.
 
@@ -93,6 +130,9 @@ class Study:
         low-discrepancy points well spread. DEFAULT_SAMPLES where nothing is said.
     variants : per term; the first is the one in `total`.
     exact : scenes with a known answer to measure as well; None: none.
+    settings : changes to scenes to measure as well.
+    radii : factors on the radius of the photon kernels, at which they are measured to extrapolate them to 0; three or
+        more, or none.
     folder : of the results, below the output folder.
     """
 
@@ -108,6 +148,8 @@ class Study:
     samples: dict[str, int] = attrs.field(factory=dict, validator=_samples)
     variants: Variants = Variants()
     exact: Exact | None = None
+    settings: tuple[Setting, ...] = attrs.field(default=(), validator=_distinct)
+    radii: tuple[float, ...] = attrs.field(default=(), validator=[positive, _enough])
     folder: Literal["compare", "variants"] = "compare"
 
     def samples_of(self, variant: Variant) -> int:

@@ -73,7 +73,7 @@ def converter() -> cattrs.Converter:
     def mapping(value: Any, kind: Any) -> Any:
         if not isinstance(value, dict):
             raise TypeError("a table")
-        return entries(value, kind)
+        return value if Any in get_args(kind) else entries(value, kind)
 
     items = strict.get_structure_hook(tuple[Any, ...])
     entries = strict.get_structure_hook(dict[str, int])

@@ -18,7 +18,7 @@ import attrs
 import numpy as np
 import xarray
 
-from reports import metrics, run, study
+from reports import metrics, run, study, subjects
 from scenes.load import load
 
 HERE = Path(__file__).parent
@@ -55,7 +55,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             results = run.measure(
-                seeded, run.scenes_of(seeded), folder, name="calibration", report=lambda *_: None
+                seeded, subjects.scenes_of(seeded), folder, name="calibration", report=lambda *_: None
             )
             images.append(default_images(folder, results))
         judged = [row for row in results["cells"] if row["verdict"]]

@@ -19,7 +19,7 @@ import pytest
 import xarray
 from PIL import Image
 
-from reports import cells, images, metrics, run, study
+from reports import cells, images, metrics, run, study, subjects
 from reports.page import pictures
 from scenes.load import load
 from scenes.model import Scene
@@ -30,12 +30,12 @@ FAILED = PROJECT / "out" / "failed"
 THRESHOLDS = tomllib.loads((HERE / "thresholds.toml").read_text("utf-8"))
 STUDY = study.load(HERE / "study.toml")
 
-SCENES = run.scenes_of(STUDY)
+SCENES = subjects.scenes_of(STUDY)
 ROWS = [
     (scene.name, term, variant.name)
     for scene in SCENES
     for term in ("ambient", "direct", "specular", "background")
-    for variant in run.variants_of(STUDY, scene, term)
+    for variant in subjects.variants_of(STUDY, scene, term)
 ] + [(scene.name, "total", "default") for scene in SCENES]
 # The scenes without a term, and why; a box that is closed shows no sky.
 ABSENT = {("cornell_box", "background"), ("cornell_box_unshadowed", "background")}
@@ -150,7 +150,7 @@ def test_paper_ambient_is_pi_times_too_bright(scene: str, measured: Measured):
 def test_paper_specular_of_one_bounce_is_4_over_pi_times_too_bright(tmp_path: Path):
     """Each vertex of a chain has the factor 4/pi; a chain of one vertex gives it to the whole image."""
     chosen = attrs.evolve(STUDY, samples=STUDY.samples | {"specular.paper": 128})
-    (scene,) = run.scenes_of(chosen, ("two_cubes",))
+    (scene,) = subjects.scenes_of(chosen, ("two_cubes",))
     name = "two_cubes"
     measured = _measure(chosen, (attrs.evolve(scene, max_bounces=1),), tmp_path)
     row = measured.correct[name, "specular", "paper"]
@@ -211,7 +211,7 @@ def test_planted_half_pixel_shift_is_biased(tmp_path: Path, monkeypatch: pytest.
 
 def _caught(folder: Path) -> set[tuple[str, str]]:
     """Term and variant of what the run of `two_cubes` calls BIASED or NOT AS PREDICTED."""
-    scenes = run.scenes_of(STUDY, ("two_cubes",))
+    scenes = subjects.scenes_of(STUDY, ("two_cubes",))
     rows = _measure(STUDY, scenes, folder).own.values()
     return {(row["term"], row["variant"]) for row in run.failures({"cells": rows})}
 

@@ -19,7 +19,7 @@ import OpenEXR
 import pytest
 import xarray
 
-from reports import cells, cli, run, study
+from reports import cells, cli, run, study, subjects
 from reports.images import read_exr
 from scenes.store import PROJECT, cache_folder
 from scenes.terms import TERMS
@@ -357,7 +357,7 @@ def test_a_run_that_is_interrupted_goes_on(first: Finished, compare: Callable[..
 
 def test_the_digest_follows_study_and_scene(files: Path):
     chosen = study.load(files / "study.toml")
-    scenes = run.scenes_of(chosen)
+    scenes = subjects.scenes_of(chosen)
     changed = [
         run.digest(attrs.evolve(chosen, seed=2), scenes, "scalar_rgb"),
         run.digest(attrs.evolve(chosen, reference_spp=5), scenes, "scalar_rgb"),

@@ -6,7 +6,7 @@ import attrs
 import pytest
 
 from renderer.terms import DEFAULTS, VARIANTS
-from reports import run, study
+from reports import study, subjects
 from scenes.load import library
 from scenes.strict import FileError
 from scenes.terms import TERMS
@@ -119,12 +119,12 @@ def test_no_such_study(name: str):
 
 def test_a_scene_keeps_fewer_photons_than_the_study_grants():
     lavish = attrs.evolve(study.load("quick"), photons=10**9)
-    (scene,) = run.scenes_of(lavish, ("monkey",))
+    (scene,) = subjects.scenes_of(lavish, ("monkey",))
     frugal = attrs.evolve(lavish, photons=10)
     assert scene.photons.count < 10**9
-    assert run.scenes_of(frugal, ("monkey",))[0].photons.count == 10
+    assert subjects.scenes_of(frugal, ("monkey",))[0].photons.count == 10
 
 
 def test_the_same_scene_twice_is_refused():
     with pytest.raises(ValueError, match="'monkey' is named twice: allowed are distinct names"):
-        run.scenes_of(study.load("quick"), ("monkey", "two_cubes", "monkey"))
+        subjects.scenes_of(study.load("quick"), ("monkey", "two_cubes", "monkey"))
