@@ -41,7 +41,7 @@ _FIELDS = (
     "reference_seconds compile_seconds rmse rmse_low rmse_high relmse ssim bias bias_low bias_high standard_error "
     "margin allowance tests family_low family_high rms_bias rms_bias_high place predicted_bias detectable_bias "
     "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall "
-    "group at gain"
+    "group at gain base setting"
 ).split()
 _LISTS = "channels", "objects", "warnings", "reasons"
 
@@ -70,27 +70,30 @@ def write(run: Path) -> Path:
     if results.get("schema") != 1:
         raise ValueError(f"{run / 'results.json'}: schema = {results.get('schema')!r}: allowed is 1")
     rows = [_complete(row) for row in results["cells"]]
-    scenes = [_Scene(name, described, rows) for name, described in results["settings"]["scenes"].items()]
+    every = [_Scene(name, described, rows) for name, described in results["settings"]["scenes"].items()]
+    scenes = [scene for scene in every if scene.setting is None]
 
     # What an earlier run with other scenes left would be taken for this one's.
     (run / "index.html").unlink(missing_ok=True)
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
-    shown = {scene.name: scene.draw(run) for scene in scenes}
+    shown = {scene.name: scene.draw(run) for scene in every}
     _copy(run)
 
     exact = _exact(rows)
-    judged = [scene.row(*key, "own") for scene in scenes for key in scene.keys]
+    judged = [scene.row(*key, "own") for scene in every for key in scene.keys]
     judged += [row for row in rows if row["group"] and row["against"] == "own"]
     common = {
         "results": results,
         "settings": results["settings"],
         "versions": results["versions"],
         "scenes": scenes,
+        "changed": _by_setting(every),
         "shown": shown,
         "rows": judged,
         "tally": _tally(judged),
         "exact": exact,
+        "extrapolations": results.get("extrapolations", []),
         "words": WORDS,
         "terms": TERMS,
         "variants": VARIANTS,
@@ -98,13 +101,13 @@ def write(run: Path) -> Path:
         "rule": verdict,
         "downloads": [
             name
-            for name in ("results.json", "results.nc", *(f"images/{scene.name}.exr" for scene in scenes))
+            for name in ("results.json", "results.nc", *(f"images/{scene.name}.exr" for scene in every))
             if (run / name).is_file()
         ],
     }
     environment = _environment()
     _render(environment, "method.html.j2", run / "method.html", root="", **common)
-    for scene in scenes:
+    for scene in every:
         page = run / "scenes" / f"{scene.name}.html"
         _render(environment, "scene.html.j2", page, root="../", scene=scene, **common)
     index = run / "index.html"
@@ -127,6 +130,8 @@ class _Scene:
             "skips": [],
             **described,
         }
+        self.setting: dict[str, Any] | None = described.get("setting")
+        self.base: str | None = described.get("base")
         self.rows = [row for row in rows if row["scene"] == name]
         self.keys = sorted(
             dict.fromkeys((row["term"], row["variant"]) for row in self.rows), key=lambda key: _order(key[0])
@@ -225,6 +230,28 @@ class _Scene:
                         "width": ours.shape[1],
                     }
         return drawn
+
+
+def _by_setting(scenes: list[_Scene]) -> dict[str, list[_Scene]]:
+    """The changed scenes by the name of the setting that changes them."""
+    found: dict[str, list[_Scene]] = {}
+    for scene in scenes:
+        if scene.setting is not None:
+            found.setdefault(scene.setting["name"], []).append(scene)
+    return found
+
+
+def _assignments(change: dict[str, Any], prefix: str = "") -> list[str]:
+    """A table as `field = value`, tables within it as `table.field = value`."""
+    found = []
+    for name, value in change.items():
+        if isinstance(value, dict):
+            found += _assignments(value, f"{prefix}{name}.")
+        else:
+            found.append(
+                f"{prefix}{name} = {'inf' if value is None else json.dumps(value, ensure_ascii=False)}"
+            )
+    return found
 
 
 class _Exact:
@@ -343,6 +370,7 @@ def _environment() -> jinja2.Environment:
     environment.filters["picture"] = _picture
     environment.filters["breakable"] = lambda name: escape(name).replace("_", Markup("_<wbr>"))
     environment.filters["sentence"] = _sentence
+    environment.filters["assignments"] = _assignments
     environment.globals["variant"] = method.find
     environment.globals["bar"] = _bar()
     return environment

@@ -162,7 +162,7 @@ def test_one_object_on_standard_output(first: Finished, results: dict[str, Any])
 
 def test_every_row_has_every_key(results: dict[str, Any]):
     assert results["schema"] == 1
-    assert set(results) == {"schema", "versions", "settings", "cells"}
+    assert set(results) == {"schema", "versions", "settings", "cells", "extrapolations"}
     for row in results["cells"]:
         assert [key for key in KEYS if key not in row] == []
 
@@ -293,7 +293,7 @@ def test_another_folder_computes_nothing_either(first: Finished, compare: Callab
     assert (elsewhere.computed, elsewhere.rendered) == (0, 0)
     same = {"settings", "versions", "schema"}
     ours, theirs = json.loads(elsewhere.output), json.loads(first.output)
-    assert set(ours) == same | {"cells"}
+    assert set(ours) == same | {"cells", "extrapolations"}
     for row, other in zip(ours["cells"], theirs["cells"], strict=True):
         assert row | {"compile_seconds": 0} == other | {"compile_seconds": 0}
 
