@@ -170,7 +170,7 @@ def replicates(scene: Scene, term: str, variant: str, *, seed: int) -> np.ndarra
     return np.array([rendered(scene, term, variant, seed=seed + k) for k in range(16)])
 
 
-# Of the false alarms that the p-values below may raise; seeds are fixed, so none is raised twice.
+# Chance of a false alarm of one p-value; the seeds are fixed.
 LEVEL = 1e-3
 # What a broken relation must reach.
 PROVEN = 1e-6
