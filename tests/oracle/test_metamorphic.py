@@ -7,6 +7,7 @@
 | moved by a vector that all coordinates take up exactly | to the rounding of hit points |
 | turned by 90 degrees, or axes permuted | to rounding where no direction is drawn, else in the mean |
 | a light split in two | to the bit, or in the mean where the split moves the samples |
+| the roulette of photons with another probability | in the mean |
 | two materials blended | the image is the mean of the two images |
 | the terms | add up to the bit |
 
@@ -24,8 +25,10 @@ from scipy import stats
 
 import renderer
 from renderer import VARIANTS
+from renderer.plan import skipped
 from reports import cli
 from reports.images import read_exr
+from scenes.analytic import closed_box
 from scenes.load import library, load
 from scenes.model import Color, Mesh, Object, PointLight, Scene, Vector
 from scenes.terms import TERMS, Term, total
@@ -50,7 +53,7 @@ def vector(values: np.ndarray) -> Vector:
 
 
 @functools.cache
-def scenes(side: int = 24) -> dict[str, Scene]:
+def scenes(side: int = 16) -> dict[str, Scene]:
     """The library, small and on the lattice; the paper's shadow rule and full scattering besides."""
     found = {}
     for name in library():
@@ -69,7 +72,7 @@ def scenes(side: int = 24) -> dict[str, Scene]:
             lights=tuple(
                 attrs.evolve(light, position=vector(on_lattice(light.position))) for light in scene.lights
             ),
-            photons=attrs.evolve(scene.photons, count=3000),
+            photons=attrs.evolve(scene.photons, count=2000),
             resolution=(side, side),
         )
     found["shadow rule"] = attrs.evolve(found["two_cubes"], shadows="paper")
@@ -88,7 +91,7 @@ def suitable(term: Term, variant: str) -> list[Scene]:
     return [
         scene
         for scene in scenes().values()
-        if renderer.plan.skipped(scene, term) is None and scene.photons.scattering in found.scatterings
+        if skipped(scene, term) is None and scene.photons.scattering in found.scatterings
     ]
 
 
@@ -161,13 +164,13 @@ def p_value(ours: np.ndarray, theirs: np.ndarray) -> float:
     a, b = quarters(ours), quarters(theirs)
     seen = np.ptp(np.concatenate([a, b]), axis=0) > 0
     assert seen.any()
-    p = stats.ttest_ind(a[:, seen], b[:, seen], equal_var=False).pvalue
+    _, p = np.array(stats.ttest_ind(a[:, seen], b[:, seen], equal_var=False))
     return float(np.min(p)) * int(seen.sum())
 
 
 def replicates(scene: Scene, term: str, variant: str, *, seed: int) -> np.ndarray:
     """Sixteen of them, (16, H, W, 3)."""
-    return np.array([rendered(scene, term, variant, seed=seed + k) for k in range(16)])
+    return np.array([rendered(scene, term, variant, samples=8, seed=seed + k) for k in range(16)])
 
 
 # Chance of a false alarm of one p-value; the seeds are fixed.
@@ -252,7 +255,7 @@ def test_turned_to_rounding(term: Term, turn: str):
         turned = rendered(transformed(scene, turn=TURNS[turn]), term, variant)
         np.testing.assert_allclose(turned, image, rtol=1e-12, atol=1e-12 * image.max())
         compared += image.any(axis=-1).sum()
-    assert compared > 100
+    assert compared > 50
 
 
 @pytest.mark.parametrize("turn", TURNS)
@@ -260,8 +263,8 @@ def test_turned_to_rounding(term: Term, turn: str):
 def test_turned_in_the_mean(term: Term, variant: str, turn: str):
     """Local frames turn against the surface, so directions differ: Welch's t over 16 replicates of each side.
 
-    The control is the turned scene seen from a camera that looks 6 degrees aside: proven different wherever the noise
-    of the image's mean is below 3 %, which holds but for directions drawn uniformly about narrow lobes.
+    The control is the turned scene seen from a camera that looks 20 degrees aside: proven different wherever the noise
+    of the image's mean is below 5 %, which holds but for directions drawn uniformly about narrow lobes.
     """
     name = "monkey" if turn == "axes permuted" else "two_cubes"  # whose sky turns about z only
     scene = scenes()[name]
@@ -273,10 +276,10 @@ def test_turned_in_the_mean(term: Term, variant: str, turn: str):
     if term == "specular" and variant != "vndf":
         assert noise < 0.15
         return
-    assert noise < 0.03
+    assert noise < 0.05
     camera = turned.camera
     ahead = np.array(camera.target) - np.array(camera.position)
-    aside = np.tan(np.radians(6.0)) * np.cross(ahead, camera.up)
+    aside = np.tan(np.radians(20.0)) * np.cross(ahead, camera.up)
     turned = attrs.evolve(turned, camera=attrs.evolve(camera, target=vector(camera.target + aside)))
     assert p_value(ours, replicates(turned, term, variant, seed=3000)) < PROVEN
 
@@ -339,6 +342,28 @@ def test_a_lamp_split_across_in_the_mean(variant: str):
     assert p_value(ours, replicates(halves, "direct", variant, seed=2000)) > LEVEL
     half = attrs.evolve(halves, objects=halves.objects[:-1])
     assert p_value(ours, replicates(half, "direct", variant, seed=3000)) < PROVEN
+
+
+# The roulette's probability.
+
+
+@pytest.mark.parametrize("variant", ["photon-map", "next-event"])
+def test_survival_changes_no_mean(variant: str):
+    """P = .2, .5, .9 and 1 in a closed box of albedo .4: by Welch's t the images agree with that of P = albedo.
+
+    Estimates that are linear in photons, that is: the radius of k photons depends on how many there are. Photons that
+    keep their flux, the paper's, scatter with the albedo P: .9 in the place of .4 is proven.
+    """
+    box = closed_box(albedo=0.4)
+
+    def images(survival: float | None, seed: int, variant: str = variant) -> np.ndarray:
+        photons = attrs.evolve(box.photons, count=100, survival=survival)
+        return replicates(attrs.evolve(box, photons=photons), "direct", variant, seed=seed)
+
+    plain = images(None, 1000)
+    for number, survival in enumerate((0.2, 0.5, 0.9, 1.0)):
+        assert p_value(images(survival, 2000 + 100 * number), plain) > LEVEL
+    assert p_value(images(0.9, 3000, "paper-unweighted"), plain) < PROVEN
 
 
 # Materials blended.
