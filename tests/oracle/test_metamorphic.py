@@ -54,7 +54,7 @@ def vector(values: np.ndarray) -> Vector:
 
 @functools.cache
 def scenes(side: int = 16) -> dict[str, Scene]:
-    """The library, small and on the lattice; the paper's shadow rule and full scattering besides."""
+    """The library, small and on the lattice; the paper's choices and full scattering besides."""
     found = {}
     for name in library():
         scene = load(name)
@@ -75,7 +75,9 @@ def scenes(side: int = 16) -> dict[str, Scene]:
             photons=attrs.evolve(scene.photons, count=2000),
             resolution=(side, side),
         )
-    found["shadow rule"] = attrs.evolve(found["two_cubes"], shadows="paper")
+    found["paper's choices"] = attrs.evolve(
+        found["two_cubes"], shadows="paper", ignore="object", irradiance="E"
+    )
     box = found["cornell_box_unshadowed"]
     found["full scattering"] = attrs.evolve(box, photons=attrs.evolve(box.photons, scattering="full"))
     return found
@@ -210,6 +212,13 @@ def test_intensity_is_radiance_times_area():
     kept = attrs.evolve(half, lights=(attrs.evolve(light, intensity=scene.lights[0].intensity),))
     image = rendered(scene, "direct", "next-event")
     np.testing.assert_array_equal(rendered(kept, "direct", "next-event"), 4 * image)
+
+
+def test_absolute_epsilons_are_seen():
+    """The control: the paper's intersection, whose 1e-5 is a length, keeps nothing of a scene 2^-20 as large."""
+    scene = attrs.evolve(scenes()["two_cubes"], intersection="paper")
+    assert rendered(scene, "ambient", "constant").any()
+    assert not rendered(transformed(scene, scale=2.0**-20), "ambient", "constant").any()
 
 
 @pytest.mark.parametrize(("term", "variant"), EVERY)
