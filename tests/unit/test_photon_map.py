@@ -263,6 +263,44 @@ def test_lit_quadrant_near_a_corner(shape, compiled):
     assert found == pytest.approx(expected, rel=0.01 if compiled else 0.03)
 
 
+# Mean distance from the centre over r: ∫ K d dA.
+MEAN_DISTANCES = {"uniform": 2 / 3, "epanechnikov": 8 / 15, "simpson": 16 / 35}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_linear_irradiance_is_biased_along_edges_alone(shape, compiled):
+    """E = 1 + 3 x + 2 y: no bias inside, where the kernel is even; O(r) in a strip of width r along an edge.
+
+    At distance a from the edge x = 0 the division by the mass leaves `3 ∫_{-a}^r t m(t) dt / M(a)`, m the kernel's
+    marginal: on the edge 3 (2 / pi) ∫ K d dA, in the corner the same with 3 + 2.
+    """
+    n, radii = (400, (0.3, 0.15)) if compiled else (150, (0.3,))
+    x = (np.arange(n) + 0.5) / n
+    xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    scene = arrays(unit_plate())
+    for r in radii:
+        photons = on_plate(xy, (1 + 3 * xy[:, 0] + 2 * xy[:, 1]) / n**2, r, shape)
+        # As in the test of the quadratic: the sum over a lattice, its rim for the kernel that jumps there.
+        rim = 8 * (n * r) ** (2 / 3) / (np.pi * (n * r) ** 2) if shape == "uniform" else 0.0
+
+        def bias(qx: float, qy: float, photons=photons) -> float:
+            exact = 1 + 3 * qx + 2 * qy
+            return estimate_irradiance(scene, photons, at((qx, qy, 0.0)), STACK).x - exact
+
+        on_edge = 2 / np.pi * MEAN_DISTANCES[shape] * r
+        for a in (0.0, 0.2 * r, 0.6 * r):
+            moment = integrate.quad(lambda t, r=r: t * marginal(shape, t, r), a, r)[
+                0
+            ]  # the rest of it is odd
+            law = 3 * moment / one_sided(shape, a, r)
+            assert bias(a, 0.5) == pytest.approx(law, rel=0.01, abs=3e-4 + rim)
+            if a == 0:
+                assert law == pytest.approx(3 * on_edge, rel=1e-6)
+        assert bias(0.0, 0.0) == pytest.approx(5 * on_edge, rel=0.01, abs=3e-4 + 2 * rim)
+        for inside in ((r, 0.5), (0.5, 0.4)):
+            assert bias(*inside) == pytest.approx(0, abs=3e-4 + rim)
+
+
 def test_photons_of_the_other_side_never_count():
     """Photons that arrive from below are seen from below only, by both estimators."""
     scene = arrays(unit_plate())
