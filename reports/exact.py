@@ -5,6 +5,7 @@
 | furnace | specular | `gloss (lobe A(mu_o) + diffuse)` at one cosine, on the variant's rings |
 | closed sphere | specular | `(1 - gloss) sum_{j=1..M} (gloss T)^j 1`: the chain, bounce by bounce |
 | disc over plane | ambient | the sum over the variant's rule of what the disc leaves open |
+| unit sphere | direct | `rho I / (pi (1 - rho))`, by the k nearest `k / (k - 1)` of it, unweighted 1 - P for 1 - rho |
 
 Each row's image is one number everywhere, known without noise, so that its verdict is that of `judge` with an exact
 reference.
@@ -22,6 +23,8 @@ from reports.study import Study
 from scenes import analytic
 from scenes.limits import Limit, correct
 from scenes.model import Scene
+
+_PASSES, _PHOTONS = 16, 2000  # samples of a photon estimate, each with a map of its own, of so many photons
 
 
 @attrs.frozen(eq=False)
@@ -60,6 +63,7 @@ def cases(study: Study) -> Iterator[Case]:
     yield from _furnaces(study)
     yield from _closed_spheres(study)
     yield from _discs(study)
+    yield from _unit_spheres(study)
 
 
 def _furnaces(study: Study) -> Iterator[Case]:
@@ -122,6 +126,33 @@ def _discs(study: Study) -> Iterator[Case]:
             own = np.full(3, limit.factor * _open_share(limit, edge))
             right = np.full(3, edge**2)
             yield Case("disc over plane", {"radius": radius}, scene, variant, study.exact.samples, own, right)
+
+
+def _unit_spheres(study: Study) -> Iterator[Case]:
+    """A constant E, which no kernel blurs: what is left are factors, the k nearest photons' and the roulette's."""
+    assert study.exact
+    albedo, intensity = 0.5, math.pi
+    sphere = analytic.unit_sphere(albedo=albedo, intensity=intensity, subdivisions=4)
+    # The flux on the facets is the sphere's, their area is not; what they make E vary by is 1e-4 in the mean.
+    mesh = sphere.objects[0].mesh
+    edges = np.diff(mesh.vertices[mesh.faces], axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()
+    right = np.full(3, 4 * math.pi / area * albedo * intensity / (math.pi * (1 - albedo)))
+    for survival in (albedo, 0.7):
+        photons = attrs.evolve(sphere.photons, survival=survival, count=_PHOTONS)
+        scene = attrs.evolve(sphere, photons=photons, resolution=(8, 8))
+        for name in study.variants.direct:
+            variant = VARIANTS["direct"][name]
+            kernel = variant.kernel(scene, 1)
+            if survival != albedo and name not in ("photon-map", "paper", "paper-unweighted"):
+                continue  # one right estimate and the paper's two readings show what P does
+            own = right
+            if kernel is not None and not kernel.weighted:
+                own = own * (1 - albedo) / (1 - survival)
+            if kernel is not None and kernel.shape == "nearest":
+                own = own * kernel.scale * kernel.nearest / (kernel.nearest - 1)
+            samples = study.exact.samples if kernel is None else _PASSES
+            yield Case("unit sphere", {"rho": albedo, "P": survival}, scene, variant, samples, own, right)
 
 
 def _open_share(limit: Limit, edge: float) -> float:

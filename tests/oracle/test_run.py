@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import math
 import os
 import resource
 import signal
@@ -471,3 +472,46 @@ def test_a_full_disk_is_one_line(stage: str, first: Finished, files: Path):
     assert not [path for path in files.rglob(".*") if path.is_file()], "a temporary file was left"
     folder = files / f"full {stage}" / "compare"
     assert not (folder / "results.json").exists()
+
+
+def test_settings_and_radii(compare: Callable[..., Finished], files: Path):
+    """A changed scene is judged by itself and measured against the unchanged one; three radii and what they tend to."""
+    (files / "settings.toml").write_text(
+        (files / "study.toml").read_text().replace("scenes", "radii = [1.0, 0.7, 0.5]\nscenes")
+        + """
+[variants]
+direct = ["next-event", "photon-map"]
+
+[[settings]]
+name = "bright"
+what = "Direct light read as E"
+scenes = ["scene"]
+change = { irradiance = "E" }
+"""
+    )
+    results = json.loads(compare("--json", out="settings", study_file="settings.toml").output)
+    rows = {
+        (row["scene"], row["term"], row["against"]): row
+        for row in results["cells"]
+        if row["variant"] in ("path", "cosine", "vndf", "default") and row["samples"] == 2
+    }
+    own, correct = rows["scene.bright", "direct", "own"], rows["scene.bright", "direct", "correct"]
+    assert (own["base"], own["setting"], own["kind"]) == ("scene", "bright", "wrong")
+    assert own["verdict"] in ("AS PREDICTED", "UNDERPOWERED")
+    assert correct["predicted_bias"] == pytest.approx(math.pi - 1, rel=0.2)
+    assert correct["bias"] == pytest.approx(correct["predicted_bias"], abs=6 * correct["standard_error"])
+    assert rows["scene.bright", "ambient", "correct"]["predicted_bias"] == 0.0
+    assert ("scene.bright", "total", "correct") in rows
+    assert ("scene.bright", "total", "physical") not in rows
+    assert results["settings"]["scenes"]["scene.bright"]["settings"]["direct light read as"] == "E"
+    found = results["extrapolations"]
+    assert [each["variant"] for each in found] == ["next-event", "photon-map"]
+    for each in found:
+        radii = [point["radius"] for point in each["points"]]
+        assert radii == sorted(radii, reverse=True)
+        assert radii[-1] == 0.0
+        assert radii[1] / radii[0] == pytest.approx(0.7)
+        for point in each["points"]:
+            assert point["low"] < point["error"] < point["high"]
+    page = (files / "settings" / "compare" / "scenes" / "scene.bright.html").read_text("utf-8")
+    assert "Direct light read as E" in page

@@ -1,5 +1,7 @@
 """Studies: presets load, and a file that is wrong is refused in one line that names file, field, value and allowed."""
 
+import math
+import tomllib
 from pathlib import Path
 
 import attrs
@@ -19,6 +21,13 @@ mu_o = [1.0]
 gloss = [0.5]
 bounces = 2
 samples = 4
+"""
+SETTING = """
+[[settings]]
+name = "dark"
+what = "The ambient light is out"
+scenes = ["monkey"]
+change = { ambient = { color = [0, 0, 0] }, max_bounces = 1 }
 """
 VALID = 'scenes = ["monkey"]\nresolution = [8, 8]\n'
 
@@ -70,6 +79,16 @@ def test_a_study_by_path(tmp_path: Path):
         (VALID + EXACT.replace("[1.0]", "[]"), ["exact", "mu_o = []", "at least one"]),
         (VALID + EXACT.replace("bounces = 2", "bounces = 0"), ["exact", "bounces = 0", "[1, 64]"]),
         (VALID + EXACT.replace("samples = 4", ""), ["exact.samples: is missing"]),
+        (VALID + "radii = [1.0, 0.5]", ["radii = (1.0, 0.5)", "3 distinct factors"]),
+        (VALID + "radii = [1.0, 0.5, 0.0]", ["radii = ", "(0, inf)"]),
+        (VALID + SETTING + SETTING, ["settings", "'dark'", "twice"]),
+        (VALID + SETTING.replace('"dark"', '"Dark side"'), ["settings", "Dark side"]),
+        (
+            VALID + SETTING + 'chain = "none"',
+            ["settings[0].chain = 'none'", "'next-event' or 'path' or 'paper'"],
+        ),
+        (VALID + SETTING + "other = 1", ["settings[0].other = 1", "unknown key"]),
+        (VALID + SETTING.replace('["monkey"]', "[]"), ["settings", "scenes = []", "at least one"]),
         (VALID + "replicate = 4", ["replicate = 4", "unknown key", "replicates"]),
         (VALID + "replicates = 3", ["replicates = 3", "[4, 4096]"]),
         (VALID + "reference_replicates = 0", ["reference_replicates = 0", "[4, 4096]"]),
@@ -128,3 +147,64 @@ def test_a_scene_keeps_fewer_photons_than_the_study_grants():
 def test_the_same_scene_twice_is_refused():
     with pytest.raises(ValueError, match="'monkey' is named twice: allowed are distinct names"):
         subjects.scenes_of(study.load("quick"), ("monkey", "two_cubes", "monkey"))
+
+
+def changed(text: str) -> list[subjects.Subject]:
+    """The subjects of a study of the monkey with the setting above, `text` in place of its change."""
+    setting = study.Setting(name="dark", what="", scenes=("monkey",), change=tomllib.loads(text))
+    mine = study.Study(scenes=("monkey",), resolution=(8, 8), settings=(setting,))
+    return list(subjects.subjects(mine, subjects.scenes_of(mine)))
+
+
+def test_a_setting_changes_what_it_names_and_nothing_else():
+    plain, dark = changed("ambient.color = [0, 0.5, 0]\nmax_bounces = 1")
+    assert (plain.setting, plain.base, dark.base) == (None, None, plain.scene)
+    assert dark.scene.name == "monkey.dark"
+    undone = attrs.evolve(
+        dark.scene,
+        name="monkey",
+        max_bounces=plain.scene.max_bounces,
+        ambient=attrs.evolve(dark.scene.ambient, color=plain.scene.ambient.color),
+    )
+    assert undone.digest(without=()) == plain.scene.digest(without=())
+    assert (dark.scene.ambient.color, dark.scene.max_bounces) == ((0.0, 0.5, 0.0), 1)
+    assert [variant.name for variant in dark.variants["direct"]] == ["path"]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("glow = 1", "change: glow: unknown key: allowed are camera, "),
+        ("camera.glow = 1", "change: glow: unknown key: allowed are position, "),
+        ('camera = "here"', "change: camera = 'here': allowed is a table"),
+        ("max_bounces = 1.5", "change: max_bounces = 1.5: allowed is an integer"),
+        ("max_bounces = -1", "max_bounces = -1: allowed is a number in [0, 64]"),
+        ('shadows = "none"', "change: shadows = 'none': allowed is 'physical' or 'paper'"),
+        ("name = 'x'", "change: name: unknown key"),
+        ("objects = []", "change: objects: unknown key"),
+        ('normals = "face"\nphotons.survival = 2.0', "survival = 2.0: allowed is a number in (0, 1]"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused(text: str, named: str):
+    with pytest.raises(ValueError, match="settings: dark: ") as caught:
+        changed(text)
+    assert named in str(caught.value)
+
+
+def test_settings_of_scenes_that_are_not_measured_are_left_out():
+    variants = study.load("variants")
+    names = [
+        subject.scene.name
+        for subject in subjects.subjects(variants, subjects.scenes_of(variants, ("monkey",)))
+    ]
+    assert names[0] == "monkey"
+    assert all(name.startswith("monkey.") for name in names[1:])
+    assert "monkey.as-printed" in names
+
+
+def test_the_chain_of_the_paper_s_terms_is_judged_against_its_twin():
+    variants = study.load("variants")
+    for subject in subjects.subjects(variants, subjects.scenes_of(variants, ("two_cubes",))):
+        limit = subjects.own_limit(variants, subject, subject.variants["specular"][0])
+        assert (limit.kernel is not None) == (subject.chain == "paper")
+        assert limit.ambient == pytest.approx(math.pi if subject.chain == "paper" else 1.0)
