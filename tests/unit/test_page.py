@@ -3,6 +3,7 @@
 import json
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import quote
 from urllib.parse import unquote, urldefrag
 
 import numpy as np
@@ -84,6 +85,25 @@ def variants_run(tmp_path_factory):
     for described in results["settings"]["scenes"].values():
         described["gains"] = {name: {"steel <cube>": 1.25} for name in VARIANTS["specular"]}
     results["cells"] += exact_rows()
+    results["settings"]["scenes"][SCENES[-1]] |= {
+        "base": SCENES[0],
+        "setting": {
+            "name": "no-shadow",
+            "what": "Nothing is dark <there>",
+            "change": {"shadows": "paper", "camera": {"pixel": "corner"}},
+            "chain": "paper",
+        },
+    }
+    results["extrapolations"] = [
+        {
+            "scene": SCENES[0],
+            "variant": "photon-map",
+            "points": [
+                {"radius": radius, "error": radius**2, "low": radius**2 - 0.003, "high": radius**2 + 0.003}
+                for radius in (0.3, 0.2, 0.1, 0.0)
+            ],
+        }
+    ]
     (folder / "results.json").write_text(json.dumps(results), "utf-8")
     page.write(folder)
     return folder
@@ -254,6 +274,20 @@ def test_page_of_variants_shows_prediction_beside_measurement(variants_run):
             assert name in text
     for title in ("White furnace", "Bounce by bounce", "Disc over plane"):
         assert title in text
+
+
+def test_page_of_variants_shows_settings_apart_from_scenes(variants_run):
+    text = read(variants_run / "index.html").text.replace(digits.THIN, " ")
+    for words in ("no-shadow", "Nothing is dark <there>", 'shadows = "paper"', 'camera.pixel = "corner"'):
+        assert words in text
+    html = (variants_run / "index.html").read_text("utf-8")
+    formulas, settings = html.split('id="changed"')
+    address = f"scenes/{quote(SCENES[-1])}.html#"
+    assert address not in formulas.split('id="formulas"')[1]
+    assert address in settings
+    assert "0.3: +9.00 ± 0.30 %" in text
+    assert "+0.00 ± 0.30 %" in text
+    assert f'href="{SCENES[0]}.html"' in (variants_run / "scenes" / f"{SCENES[-1]}.html").read_text("utf-8")
 
 
 def test_scene_page_shows_sentences_settings_and_skips(run):
