@@ -3,8 +3,7 @@
 import json
 from html.parser import HTMLParser
 from pathlib import Path
-from urllib.parse import quote
-from urllib.parse import unquote, urldefrag
+from urllib.parse import quote, unquote, urldefrag
 
 import numpy as np
 import pytest
@@ -285,7 +284,7 @@ def test_page_of_variants_shows_settings_apart_from_scenes(variants_run):
     address = f"scenes/{quote(SCENES[-1])}.html#"
     assert address not in formulas.split('id="formulas"')[1]
     assert address in settings
-    assert "0.3: +9.00 ± 0.30 %" in text
+    assert "0.300: +9.00 ± 0.30 %" in text
     assert "+0.00 ± 0.30 %" in text
     assert f'href="{SCENES[0]}.html"' in (variants_run / "scenes" / f"{SCENES[-1]}.html").read_text("utf-8")
 
