@@ -66,14 +66,14 @@ def closure_digest(module: str) -> str:
     return state.hexdigest()
 
 
-def _compile(function: F) -> F:
+def _compile(function: F, **options: Any) -> F:
     # Numba's settings are untyped attributes.
     settings = cast(Any, config)
     before = settings.CACHE_DIR
     # Set around this call only: the user's own Numba cache stays where it is.
     settings.CACHE_DIR = str(cache_folder() / "numba" / closure_digest(function.__module__)[:16])
     try:
-        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
     finally:
         settings.CACHE_DIR = before
     if settings.DISABLE_JIT:
@@ -84,8 +84,13 @@ def _compile(function: F) -> F:
 
 
 def device(function: F) -> F:
-    """Compile a function that kernels call."""
-    return _compile(function)
+    """Compile a function that kernels call; it may not make an array.
+
+    It counts no references: the kernel holds all arrays while it runs. Counted, each call that LLVM does not inline
+    adds to and takes from the count of every array of the scene, atomically, and the threads share these counters:
+    renders on 2 cores then took 1.9 to 3.6 times as long (ambient, direct, specular of three scenes).
+    """
+    return _compile(function, _nrt=False)
 
 
 KERNELS: list[Any] = []

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from renderer.arrays import Geometry, SceneArrays
-from renderer.geometry import paper, traverse
+from renderer.geometry import paper, rays
 from renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
 from renderer.jit import device
 from renderer.vector import Vec3, dot, entry, negate, normalize, sub, vec3
@@ -74,7 +74,7 @@ def _closest(scene: SceneArrays, ray: Ray, far: float, face: int, stack: np.ndar
     geometry = scene.geometry
     ignore = _leaving(scene, face)
     if scene.watertight:
-        return traverse.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, stack)
+        return rays.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, stack)
     return paper.closest_hit(geometry.corners, ray, far, ignore)
 
 
@@ -124,5 +124,5 @@ def occluded(
     ray = make_ray(surface.point, direction)
     ignore = _leaving(scene, surface.face)
     if scene.watertight:
-        return traverse.any_hit(geometry.corners, geometry.tree, ray, far, ignore, target, stack)
+        return rays.any_hit(geometry.corners, geometry.tree, ray, far, ignore, target, stack)
     return paper.any_hit(geometry.corners, ray, far, ignore, target)

@@ -1,4 +1,4 @@
-"""The command `termwise`: compare, judge, render, reference, plan, scenes.
+"""The command `termwise`: compare, judge, render, reference, plan, scenes, bench.
 
 Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`); 2: bad input, or a run that
 could not end. With --json one object goes to standard output, all else to standard error.
@@ -46,6 +46,9 @@ def _integer(_kind: Any, tokens: Any) -> int:
 
 _whole = Parameter(converter=_integer, n_tokens=1)
 Integer = Annotated[int, _whole]
+bench = cyclopts.App(name="bench", help="Measure speed beside Mitsuba's, both in one run.")
+app.command(bench)
+
 Json = Annotated[bool, Parameter(negative="", help="One JSON object on standard output.")]
 
 
@@ -339,6 +342,82 @@ def scenes(*, json_: Annotated[Json, Parameter(name="--json")] = False) -> int:
         values = (row["objects"], row["triangles"], row["lights"], row["scope"], row["max_bounces"])
         table.add_row(row["name"], *map(str, values))
     _output.print(table)
+    return 0
+
+
+@bench.command
+def rays(
+    *,
+    mesh: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    pairs: Integer = 7,
+    count: Integer = 2**19,
+    threads: Annotated[int | None, _whole] = None,
+    out: Path = Path("out"),
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Trace the same rays with ours and with Mitsuba's Embree, in alternating pairs.
+
+    Parameters
+    ----------
+    mesh
+        Names of meshes: boxes, monkey, ball-20k, ball-328k, monkey-1m; all if none.
+    pairs
+        Pairs of runs a case; the ratio is their median.
+    count
+        Rays of a case, about.
+    threads
+        Threads of each side; one per core if not given.
+    out
+        The numbers go to OUT/bench/rays.json.
+    json_
+        Print them on standard output.
+    """
+    from reports import bench_rays
+
+    for name, value in (("pairs", pairs), ("count", count), ("threads", threads or 1)):
+        if value < 1:
+            raise ValueError(f"{name} = {value}: allowed is at least 1")
+    folder = _folder(out / "bench")
+    with _progress() as bar:
+        task = bar.add_task("starting", total=None)
+
+        def report(what: str, done: int, total: int) -> None:
+            bar.update(task, description=what, completed=done, total=total)
+
+        measured = bench_rays.measure(
+            threads=threads, pairs=pairs, count=count, only=tuple(mesh or ()), report=report
+        )
+    (folder / "rays.json").write_text(json.dumps(measured, indent=1), "utf-8")
+    if json_:
+        print(json.dumps(measured))
+        return 0
+    columns = ("mesh", "triangles", "rays", "ours", "Mitsuba", "ratio", "spread", "by CPU", "default")
+    # 80 columns hold it: what is not a terminal has no more.
+    table = Table(*columns, box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for case in measured["cases"]:
+        table.add_row(
+            case["mesh"],
+            str(case["triangles"]),
+            case["kind"],
+            f"{case['ours_mrays']:.1f}",
+            f"{case['mitsuba_mrays']:.1f}",
+            f"{case['ratio']:.2f}",
+            f"{case['ratio_low']:.2f}-{case['ratio_high']:.2f}",
+            f"{case['ratio_processor']:.2f}",
+            f"{case['ratio_default']:.2f}",
+        )
+    _output.print(table)
+    _output.print(
+        "Millions of rays a second; the ratio is the median of pairs with Mitsuba's robust flag, then the same by "
+        "processor time, then with its default flags.",
+        soft_wrap=True,
+    )
+    for row in measured["builds"]:
+        _output.print(
+            f"{row['mesh']}: built in {row['seconds']:.2f} s, {row['bytes_per_triangle']:.0f} bytes a triangle"
+        )
+    machine = measured["machine"]
+    _output.print(f"{machine['processor']}, {machine['threads']} threads, load {machine['load']:.1f}")
     return 0
 
 

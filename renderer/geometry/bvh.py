@@ -10,11 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from renderer.geometry import simd, wide
+from renderer.geometry.wide import MAX_DEPTH, WIDTH, Wide
 from renderer.jit import kernel
 
 LEAF_SIZE = 4
 BINS = 16
-STACK_SIZE = 96
+# Descents push at most one node a level of the binary tree; of the wide one a node, a distance and a set of rays for
+# each of 8 children. A vector of 8 is stored where fewer count.
+STACK_SIZE = 3 * (WIDTH * MAX_DEPTH + WIDTH)
 _HALVING_DEPTH = 48
 
 
@@ -27,6 +31,7 @@ class Tree(NamedTuple):
     right : (N,) int32, the right child; 0 in a leaf.
     first, count : (N,) int32, the range of `order` in a leaf.
     order : (F,) int32 face indices.
+    wide : the same tree with 8 children a node, for rays; empty where the processor lacks the vectors.
     """
 
     bounds: np.ndarray
@@ -34,6 +39,7 @@ class Tree(NamedTuple):
     first: np.ndarray
     count: np.ndarray
     order: np.ndarray
+    wide: Wide
 
 
 @kernel
@@ -48,7 +54,7 @@ def _build(
 ) -> int:
     faces = len(order)
     # Entries: begin, end, parent whose right child this is (-1: none), depth.
-    stack = np.empty((STACK_SIZE, 4), np.int64)
+    stack = np.empty((MAX_DEPTH + 1, 4), np.int64)
     stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, faces, -1, 0
     size = 1
     nodes = 0
@@ -174,6 +180,15 @@ def build(corners: np.ndarray) -> Tree:
         lows = np.ascontiguousarray(corners.min(axis=1))
         highs = np.ascontiguousarray(corners.max(axis=1))
         nodes = _build(lows, highs, bounds, right, first, count, order)
-    return Tree(
-        bounds[:nodes].copy(), right[:nodes].copy(), first[:nodes].copy(), count[:nodes].copy(), order
-    )
+    bounds = bounds[:nodes].copy()
+    right, first, count = right[:nodes].copy(), first[:nodes].copy(), count[:nodes].copy()
+    collapsed = wide.empty()
+    if simd.available():
+        collapsed = wide.collapse(corners, bounds, right, first, count, order)
+    return Tree(bounds, right, first, count, order, collapsed)
+
+
+def bytes_of(tree: Tree) -> int:
+    """Memory of the tree's arrays."""
+    arrays = (*tree, *tree.wide)
+    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))

@@ -48,6 +48,9 @@ class FaceRange(NamedTuple):
     end: int
 
 
+NOTHING = FaceRange(-1, 0)
+
+
 @device
 def component(v: Vec3, axis: int) -> float:
     """Component 0, 1 or 2."""

@@ -15,8 +15,8 @@ from reference.geometry import first_hits, geometry
 from renderer import Engine
 from renderer.arrays import from_scene
 from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.intersect import FaceRange, make_ray
-from renderer.geometry.traverse import any_hit, closest_hit
+from renderer.geometry.intersect import NOTHING, make_ray
+from renderer.geometry.rays import any_hit, closest_hit
 from renderer.vector import Vec3
 from scenes.load import library, load
 from scenes.model import Camera, Mesh, Object, Scene
@@ -29,8 +29,8 @@ def ours(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> tuple[np.
     t, face = np.full(len(origins), np.inf), np.full(len(origins), -1)
     for i, (o, d) in enumerate(zip(origins.tolist(), directions.tolist(), strict=True)):
         ray = make_ray(Vec3(*o), Vec3(*d))
-        hit = closest_hit(g.corners, g.tree, ray, np.inf, FaceRange(-1, 0), stack)
-        assert any_hit(g.corners, g.tree, ray, np.inf, FaceRange(-1, 0), -1, stack) == (hit.face >= 0)
+        hit = closest_hit(g.corners, g.tree, ray, np.inf, NOTHING, stack)
+        assert any_hit(g.corners, g.tree, ray, np.inf, NOTHING, -1, stack) == (hit.face >= 0)
         t[i], face[i] = hit.t, hit.face
     return t, face
 

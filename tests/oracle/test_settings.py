@@ -14,7 +14,7 @@ import reference
 import renderer
 from renderer.geometry import bvh, paper, traverse
 from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.intersect import FaceRange, make_ray
+from renderer.geometry.intersect import NOTHING, make_ray
 from renderer.terms import Chain, find
 from renderer.vector import Vec3
 from reports.study import Study
@@ -24,8 +24,6 @@ from scenes.analytic import plate
 from scenes.limits import Limit
 from scenes.load import load
 from scenes.model import Ambient, Camera, Color, Material, Mesh, Object, PointLight, Scene
-
-NONE = FaceRange(-1, 0)
 
 
 def grey(value: float) -> Color:
@@ -171,9 +169,9 @@ def both_hits(corners: np.ndarray, origin: np.ndarray, direction: np.ndarray) ->
     tree = bvh.build(corners)
     ray = make_ray(Vec3(*origin.tolist()), Vec3(*direction.tolist()))
     stack = np.empty(STACK_SIZE, np.int32)
-    exact = traverse.closest_hit(corners, tree, ray, math.inf, NONE, stack)
-    by_angles = paper.closest_hit(corners, ray, math.inf, NONE)
-    assert paper.any_hit(corners, ray, math.inf, NONE, -1) == (by_angles.face >= 0)
+    exact = traverse.closest_hit(corners, tree, ray, math.inf, NOTHING, stack)
+    by_angles = paper.closest_hit(corners, ray, math.inf, NOTHING)
+    assert paper.any_hit(corners, ray, math.inf, NOTHING, -1) == (by_angles.face >= 0)
     if by_angles.face >= 0 and exact.face == by_angles.face:
         assert by_angles.t == pytest.approx(exact.t, rel=1e-9)
         assert by_angles.b1 == pytest.approx(exact.b1, abs=1e-9)

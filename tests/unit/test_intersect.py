@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderer.geometry import bvh
+from renderer.geometry import bvh, traverse
 from renderer.geometry.bvh import STACK_SIZE
 from renderer.geometry.intersect import FaceRange, Hit, intersect_triangle, make_ray
-from renderer.geometry.traverse import any_hit, closest_hit
+from renderer.geometry.rays import any_hit, closest_hit
 from renderer.vector import Vec3
 
 
 class Soup:
-    """Triangles with their tree: `closest` and `any` for arrays of numbers."""
+    """Triangles with their tree: `closest` and `any` for arrays of numbers; both descents must agree to the bit."""
 
     def __init__(self, corners: np.ndarray) -> None:
         self.corners = np.ascontiguousarray(corners, np.float64).reshape(-1, 3, 3)
@@ -28,11 +28,17 @@ class Soup:
 
     def closest(self, origin, direction, far: float = math.inf, ignore: int = -1) -> Hit:
         ray = make_ray(Vec3(*map(float, origin)), Vec3(*map(float, direction)))
-        return closest_hit(self.corners, self.tree, ray, far, FaceRange(ignore, ignore + 1), self.stack)
+        passed = FaceRange(ignore, ignore + 1)
+        hit = closest_hit(self.corners, self.tree, ray, far, passed, self.stack)
+        assert hit == traverse.closest_hit(self.corners, self.tree, ray, far, passed, self.stack)
+        return hit
 
     def any(self, origin, direction, far: float = math.inf, ignore: int = -1, target: int = -1) -> bool:
         ray = make_ray(Vec3(*map(float, origin)), Vec3(*map(float, direction)))
-        return any_hit(self.corners, self.tree, ray, far, FaceRange(ignore, ignore + 1), target, self.stack)
+        passed = FaceRange(ignore, ignore + 1)
+        found = any_hit(self.corners, self.tree, ray, far, passed, target, self.stack)
+        assert found == traverse.any_hit(self.corners, self.tree, ray, far, passed, target, self.stack)
+        return found
 
 
 def brute_force(corners: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int, float]:
@@ -245,7 +251,7 @@ def test_tree_holds_every_face_once_inside_its_boxes(kind, compiled):
     covered = np.concatenate([tree.order[first : first + size] for first, size in leaves])
     assert sorted(covered.tolist()) == list(range(count))
     assert max(size for _, size in leaves) <= bvh.LEAF_SIZE
-    assert depth(tree) < STACK_SIZE
+    assert depth(tree) <= bvh.MAX_DEPTH
     for node in range(len(tree.count)):
         low, high = tree.bounds[node]
         if tree.count[node] == 0:

@@ -1,0 +1,270 @@
+"""The wide tree against the binary one and against all faces: the same face and the same bits of t on every ray.
+
+Rationale: the fast descent tests boxes in float32 and eight triangles at once; one ray in a million that meets another
+face is a fault that no image shows. Rays are aimed where descents fail: at vertices and edges, along axes with zeros
+of both signs, inside the planes of boxes, from far away, at meshes of any scale and place. Only faces smaller than the
+rounding of their distance from the ray's origin are left out: their test is noise, whatever the tree. The oracle is a
+tree of a single leaf, which is a test of all faces by `intersect_triangle`, and the binary tree where faces are many.
+"""
+
+import numpy as np
+import pytest
+import trimesh
+
+from renderer.geometry import bvh, simd, wide
+from renderer.geometry.bvh import STACK_SIZE, Tree
+from renderer.geometry.intersect import NOTHING, make_ray
+from renderer.geometry.rays import any_hit, any_hits, closest_hit, closest_hits, reference_hits
+from renderer.vector import Vec3
+
+pytestmark = pytest.mark.skipif(
+    not simd.available(), reason="the processor lacks the vectors, or nothing is compiled"
+)
+
+Hits = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def fast(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, far: float) -> Hits:
+    t, face, found = (
+        np.empty(len(origins)),
+        np.empty(len(origins), np.int32),
+        np.empty(len(origins), np.bool_),
+    )
+    closest_hits(corners, tree, origins, directions, far, t, face)
+    any_hits(corners, tree, origins, directions, far, found)
+    return t, face, found
+
+
+def reference(
+    corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, far: float
+) -> Hits:
+    t, face, found = (
+        np.empty(len(origins)),
+        np.empty(len(origins), np.int32),
+        np.empty(len(origins), np.bool_),
+    )
+    reference_hits(corners, tree, origins, directions, far, t, face, found)
+    return t, face, found
+
+
+def one_leaf(corners: np.ndarray) -> Tree:
+    """A tree whose root is a leaf of all faces."""
+    bounds = np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])[None]
+    zero, faces = np.zeros(1, np.int32), np.arange(len(corners), dtype=np.int32)
+    return Tree(bounds, zero, zero, np.array([len(corners)], np.int32), faces, wide.empty())
+
+
+def check(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, far: float = np.inf) -> Hits:
+    """Trace both ways; face, t and any-hit must be equal, to the bit."""
+    corners = np.ascontiguousarray(corners, np.float64)
+    origins, directions = (np.ascontiguousarray(a, np.float64) for a in (origins, directions))
+    tree = bvh.build(corners)
+    mine = fast(corners, tree, origins, directions, far)
+    # All faces are tested while that is cheap.
+    few = len(corners) * len(origins) <= 2e7
+    oracle = reference(corners, one_leaf(corners) if few else tree, origins, directions, far)
+    for ours, theirs in zip(mine, oracle, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    # The loops trace rays in eights; some of them alone.
+    stack = np.empty(STACK_SIZE, np.int32)
+    t, face, found = mine
+    for i in range(0, len(origins), max(1, len(origins) // 200)):
+        ray = make_ray(Vec3(*origins[i].tolist()), Vec3(*directions[i].tolist()))
+        hit = closest_hit(corners, tree, ray, far, NOTHING, stack)
+        assert (hit.t, hit.face) == (t[i], face[i])
+        assert any_hit(corners, tree, ray, far, NOTHING, -1, stack) == found[i]
+    return mine
+
+
+def soup(rng: np.random.Generator, faces: int, size: float) -> np.ndarray:
+    return rng.uniform(-1, 1, (faces, 1, 3)) + rng.normal(scale=size, size=(faces, 3, 3))
+
+
+def grid(n: int) -> np.ndarray:
+    """Unit squares at height 0, two triangles each, stacked four times, the lowest twice."""
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n)))
+    corner = np.stack([i, j, 0 * i], axis=1).astype(float)
+    low = np.stack([corner, corner + [1, 0, 0], corner + [1, 1, 0]], axis=1)
+    high = np.stack([corner, corner + [1, 1, 0], corner + [0, 1, 0]], axis=1)
+    layer = np.concatenate([low, high])
+    return np.concatenate([layer + [0, 0, 0.25 * k] for k in (0, 1, 2, 3, 0)])
+
+
+def mesh(name: str) -> np.ndarray:
+    rng = np.random.default_rng(2)
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    ball = sphere.vertices[sphere.faces]
+    box = trimesh.creation.box()
+    flat = soup(rng, 60, 0.5)
+    flat[::3, 1] = flat[::3, 0]  # needles
+    flat[1::3] = flat[1::3, :1]  # points
+    return {
+        "one": np.array([[[-1, -1, 0], [1, -1, 0], [0, 1, 0.0]]]),
+        "box": box.vertices[box.faces],
+        "ball": ball,
+        "ball in float32": ball.astype(np.float32).astype(np.float64),
+        "soup": soup(rng, 200, 0.2),
+        "grid": grid(8),
+        "without area": flat,
+        "far from the origin": 1e-3 * ball + [1e3, -1e3, 1e3],
+        "tiny": 1e-12 * ball + 3e-9,
+        "huge": 1e12 * soup(rng, 200, 0.2),
+        "geometric": soup(rng, 200, 0.05) * 2.0 ** np.linspace(-15, 15, 200)[:, None, None],
+        "many": soup(rng, 20_000, 0.02),
+    }[name]
+
+
+MESHES = (
+    "one",
+    "box",
+    "ball",
+    "ball in float32",
+    "soup",
+    "grid",
+    "without area",
+    "far from the origin",
+    "tiny",
+    "huge",
+    "geometric",
+    "many",
+)
+
+
+def points_on(rng: np.random.Generator, corners: np.ndarray, count: int) -> np.ndarray:
+    """A quarter each: vertices, middles of edges, points of edges, points inside faces."""
+    face, corner = rng.integers(0, len(corners), count), rng.integers(0, 3, count)
+    a, b = corners[face, corner], corners[face, (corner + 1) % 3]
+    weight = rng.choice([0.0, 0.5, np.nan], count)[:, None]
+    weight = np.where(np.isnan(weight), rng.uniform(size=(count, 1)), weight)
+    inside = np.einsum("ni,nij->nj", rng.dirichlet((1, 1, 1), count), corners[face])
+    return np.where(rng.integers(0, 4, (count, 1)) == 0, inside, (1 - weight) * a + weight * b)
+
+
+def aimed_rays(
+    kind: str, rng: np.random.Generator, corners: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    centre, extent = 0.5 * low + 0.5 * high, float((high - low).max())
+    targets = points_on(rng, corners, count)
+    if kind == "of a camera":
+        # Neighbours are close, so that they share packets; rows end outside of the mesh.
+        side = int(count**0.5)
+        x, y = (index.ravel() / side - 0.5 for index in np.meshgrid(np.arange(side), np.arange(side)))
+        eye = centre + extent * np.array([0.9, -1.1, 0.7])
+        across, up = np.array([1.1, 0.9, 0.0]), np.array([-0.4, 0.5, 1.3])
+        return np.tile(eye, (len(x), 1)), centre - eye + extent * (x[:, None] * across + y[:, None] * up)
+    if kind == "random":
+        return rng.uniform(low - 0.2 * extent, high + 0.2 * extent, (count, 3)), rng.normal(size=(count, 3))
+    if kind in ("from a point inside", "from around", "from far"):
+        reach = {"from a point inside": 0.05, "from around": 1.5, "from far": 1e3}[kind]
+        many = 1 if kind == "from a point inside" else count
+        origins = np.broadcast_to(centre + reach * extent * rng.normal(size=(many, 3)), (count, 3))
+        return origins, targets - origins
+    if kind == "from the surface":
+        origins = points_on(rng, corners, count)
+        return origins, targets - origins
+    zeros = rng.choice([0.0, -0.0], (count, 3))
+    rows, axis = np.arange(count), rng.integers(0, 3, count)
+    if kind == "in an axis' plane":
+        origins = rng.uniform(low - 0.2 * extent, high + 0.2 * extent, (count, 3))
+        directions = targets - origins
+        directions[rows, axis] = zeros[rows, axis]
+        return origins, directions
+    sign = rng.choice([-1.0, 1.0], count)
+    origins = targets.copy()
+    origins[rows, axis] -= sign * extent * rng.choice([0.25, 1.0, 3.3], count)
+    zeros[rows, axis] = sign * rng.choice([1.0, 1e-7, extent], count)
+    return origins, zeros
+
+
+KINDS = (
+    "of a camera",
+    "random",
+    "from a point inside",
+    "from around",
+    "from far",
+    "from the surface",
+    "in an axis' plane",
+    "along an axis",
+)
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_equal_to_the_last_bit(name, kind):
+    """96 meshes and kinds of 25 to 100 thousand rays; t, face and any-hit are those of a test of all faces."""
+    corners = mesh(name)
+    rng = np.random.default_rng(3)
+    origins, directions = aimed_rays(kind, rng, corners, int(np.clip(2e7 / len(corners), 25_000, 100_000)))
+    _, face, found = check(corners, origins, directions)
+    np.testing.assert_array_equal(found, face >= 0)
+
+
+@pytest.mark.parametrize("name", ["ball", "soup", "grid"])
+def test_equal_with_a_far_end(name):
+    """The far end at, an ulp before and an ulp behind hits: both descents keep the same hits."""
+    corners = mesh(name)
+    rng = np.random.default_rng(4)
+    origins, directions = aimed_rays("from around", rng, corners, 20_000)
+    t, _, _ = check(corners, origins, directions)
+    for scale in (1 - 2.0**-53, 1.0, 1 + 2.0**-52):
+        for far in np.unique(t[np.isfinite(t)])[::500]:
+            check(corners, origins[:500], directions[:500], float(far * scale))
+
+
+def test_empty_scene_and_rays_without_direction():
+    """No triangle, no hit; directions of zeros or NaN hit nothing and end."""
+    none = np.zeros((0, 3, 3))
+    assert (fast(none, bvh.build(none), np.zeros((4, 3)), np.ones((4, 3)), np.inf)[1] == -1).all()
+    directions = np.array([[0.0, -0.0, 0.0], [np.nan, 1.0, 0.0], [np.nan, np.nan, np.nan]])
+    _, face, found = check(mesh("box"), np.zeros((3, 3)), directions)
+    assert (face == -1).all()
+    assert not found.any()
+
+
+def test_equal_centroids():
+    """100 thousand equal triangles, halved by index: the lowest face is hit, and rays beside them end."""
+    corners = np.tile(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float), (100_000, 1, 1))
+    tree = bvh.build(corners)
+    origins, directions = np.array([[0.2, 0.2, 1.0], [0.9, 0.9, 1.0]]), np.array([[0.0, 0, -1], [0, 0, -1]])
+    assert fast(corners, tree, origins, directions, np.inf)[1].tolist() == [0, -1]
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_tree_holds_every_face_once_inside_its_boxes(name):
+    """Leaves partition the faces, exact corners beside them; boxes contain those of their children and triangles."""
+    corners = mesh(name)
+    tree = bvh.build(corners).wide
+    nodes = tree.nodes.reshape(-1, wide.NODE)
+    links = nodes.view(np.int32)
+    ids = tree.leaves.reshape(-1, wide.LEAF).view(np.int32).reshape(len(tree.leaves) // wide.LEAF, -1)
+    first = wide.FACES * tree.leaves.itemsize // 4
+    found = []
+    waiting = [(0, np.full(3, -2.0), np.full(3, 2.0))]
+    while waiting:
+        node, low, high = waiting.pop()
+        boxes = nodes[node, : wide.LINKS].reshape(2, 3, wide.WIDTH)
+        for lane in range(wide.WIDTH):
+            link = int(links[node, wide.LINKS + lane])
+            if link == 0:
+                continue
+            assert (boxes[0, :, lane] >= low).all()
+            assert (boxes[1, :, lane] <= high).all()
+            if link > 0:
+                waiting.append((link, boxes[0, :, lane], boxes[1, :, lane]))
+                continue
+            leaf = tree.leaves[wide.LEAF * (-1 - link) :][: wide.FACES].reshape(3, 3, wide.WIDTH)
+            for i, face in enumerate(ids[-1 - link, first : first + wide.WIDTH]):
+                if face >= 0:
+                    np.testing.assert_array_equal(leaf[:, :, i], corners[face])
+                    scaled = (corners[face] - np.array(tree.center)) * tree.scale
+                    assert (scaled >= boxes[0, :, lane]).all()
+                    assert (scaled <= boxes[1, :, lane]).all()
+                    found.append(int(face))
+    assert sorted(found) == list(range(len(corners)))
+
+
+def test_corners_stay_in_float32_where_that_is_exact():
+    """A mesh of float32 numbers takes half of the memory of one that is not."""
+    assert bvh.build(mesh("ball in float32")).wide.leaves.dtype == np.float32
+    assert bvh.build(mesh("ball")).wide.leaves.dtype == np.float64
