@@ -22,6 +22,10 @@ from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
 
 TILE = 32
+# Small images get smaller tiles, so many a thread at least that none waits long for the others.
+_TILES_A_THREAD, _SMALLEST = 4, 4
+# Samples that share a map of a search for the k nearest at the vertices of a chain: its radius does not shrink.
+_CHAINS_A_MAP = 16
 
 Progress = Callable[[int, int], None]
 
@@ -33,6 +37,17 @@ class Cancelled(Exception):
 def powers_of_two(samples: int) -> tuple[int, ...]:
     """1, 2, 4, ... below `samples`, then `samples`."""
     return (*(2**i for i in range((samples - 1).bit_length())), samples)
+
+
+def _tiles(width: int, height: int, *, least: int) -> list[Tile]:
+    side = TILE
+    while side > _SMALLEST and -(-width // side) * -(-height // side) < least:
+        side //= 2
+    return [
+        Tile(x, y, min(x + side, width), min(y + side, height))
+        for y in range(0, height, side)
+        for x in range(0, width, side)
+    ]
 
 
 class Engine:
@@ -49,14 +64,10 @@ class Engine:
             raise ValueError(f"threads = {threads}: allowed is at least 1")
         self.scene = scene
         self.arrays: SceneArrays = from_scene(scene)
-        self.pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
-        width, height = scene.resolution
+        threads = threads or os.cpu_count() or 1
+        self.pool = ThreadPoolExecutor(threads)
         self.compile_seconds = 0.0
-        self.tiles = [
-            Tile(x, y, min(x + TILE, width), min(y + TILE, height))
-            for y in range(0, height, TILE)
-            for x in range(0, width, TILE)
-        ]
+        self.tiles = _tiles(*scene.resolution, least=_TILES_A_THREAD * threads)
 
     def __enter__(self) -> "Engine":
         """Return the engine; its threads end with the block."""
@@ -93,18 +104,23 @@ class Engine:
         key = root(seed, replicate)
         stored = needs_photons(self.scene, variant, chain)
         photons = photon_map.empty()
+        # Each pass has its own radius, hence its own map.
+        per_map = _CHAINS_A_MAP if chain == "paper" and variant.term == "specular" else 1
         seconds = 0.0
         done = 0
         self._warm(variant, chain, stored, key, out)
         for count in powers_of_two(samples):
             start = time.perf_counter()
-            # A photon map serves one sample: each pass has its own radius.
-            for first in range(done, count) if stored else (done,):
+            first = done
+            while first < count:
+                last = count
                 if stored:
-                    photons = self._photons(variant, chain, stored, key, first, self.scene.photons.count)
-                last = first + 1 if stored else count
+                    number = first // per_map
+                    last = min(count, (number + 1) * per_map)
+                    photons = self._photons(variant, chain, stored, key, number, self.scene.photons.count)
                 inputs = variant.inputs(self.scene, chain, photons)
                 self._run(variant, inputs, key, first, last, out, cancel)
+                first = last
                 if progress:
                     progress(last, samples)
             done = count

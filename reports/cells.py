@@ -6,7 +6,6 @@ is the digest of all that decides its bits, so a run that was interrupted, or on
 
 import hashlib
 import importlib.metadata
-import json
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +13,6 @@ from pathlib import Path
 import attrs
 import numpy as np
 
-from renderer.plan import needs_photons
 from renderer.terms import Chain, Variant
 from renderer.tiles import Engine, powers_of_two
 from scenes.limits import Limit
@@ -113,16 +111,3 @@ def _read(path: Path, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] |
     except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile):
         return None
     return (images, seconds) if (images.shape, seconds.shape) == (shape, shape[:1]) else None
-
-
-def describe(scene: Scene, variant: Variant, chain: Chain) -> dict[str, object]:
-    """Named options behind a cell, for the report."""
-    options: dict[str, object] = {"variant": variant.name}
-    stored = needs_photons(scene, variant, chain)
-    if stored:
-        options["photons per pass"] = scene.photons.count
-        options["photons kept"] = stored
-        options["radius of the first pass"] = scene.photons.radius
-    if variant.term == "specular":
-        options["direct in the chain"] = chain
-    return json.loads(json.dumps(options))

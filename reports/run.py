@@ -49,6 +49,7 @@ from scenes.terms import TERMS, TOTAL, Term, total
 SCHEMA = 1
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
+_RINGS = 4  # times the samples a pixel of other references
 
 Report = Callable[[str, int, int], object]
 
@@ -252,7 +253,10 @@ def _reference_samples(study: Study, limit: Limit) -> int:
     if limit.kernel is not None:
         assert study.twin_maps is not None
         return study.twin_maps
-    return study.physical_spp if limit.transport == "physical" else study.reference_spp
+    if limit.transport == "physical":
+        return study.physical_spp
+    # Rings cannot be drawn where the lobe is: their reference is as noisy as the estimator.
+    return study.reference_spp * (_RINGS if limit.term == "specular" and limit.rings else 1)
 
 
 def _references(
