@@ -97,10 +97,29 @@ def subjects(study: Study, scenes: tuple[Scene, ...]) -> Iterator[Subject]:
 
 
 def _checked(subject: Subject) -> Subject:
+    if subject.setting is not None:
+        _same_scope(subject)
     for variants in subject.variants.values():
         for variant in variants:
             check(subject.scene, variant, chain=subject.chain)
     return subject
+
+
+def _same_scope(subject: Subject) -> None:
+    """Refuse a variant of another scope: what it differs by would be laid to the setting."""
+    for variants in subject.variants.values():
+        for variant in variants:
+            scope = variant.limit(subject.scene, 1).scope
+            if scope not in (None, subject.scene.scope):
+                fitting = [
+                    other.name
+                    for other in VARIANTS[variant.term].values()
+                    if other.limit(subject.scene, 1).scope == subject.scene.scope
+                ]
+                raise ValueError(
+                    f"settings: {subject.scene.name}: {variant.term} = {variant.name!r}, of scope {scope!r}: allowed with "
+                    f"scope = {subject.scene.scope!r} are {', '.join(fitting)}"
+                )
 
 
 def changed(thing: Any, change: dict[str, Any]) -> Any:

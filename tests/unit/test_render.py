@@ -422,6 +422,42 @@ def test_images_do_not_depend_on_the_image_s_other_tiles(busy):
     assert not part[tile.y1 :].any()
 
 
+@pytest.mark.parametrize("resolution", [(1, 1), (8, 8), (32, 32), (70, 40), (640, 360)])
+def test_tiles_cover_the_image_once_and_give_every_thread_some(resolution):
+    width, height = resolution
+    found = tiles._tiles(width, height, least=8)
+    covered = np.zeros((height, width), int)
+    for tile in found:
+        assert tile.x0 < tile.x1 <= width
+        assert tile.y0 < tile.y1 <= height
+        covered[tile.y0 : tile.y1, tile.x0 : tile.x1] += 1
+    assert (covered == 1).all()
+    assert len(found) >= 8 or max(resolution) <= 8
+
+
+def test_chains_of_the_paper_share_maps_and_prefixes_keep_their_bits(busy, monkeypatch):
+    """Samples 2 m and 2 m + 1 have map m, whatever the prefix; a prefix is the shorter run."""
+    monkeypatch.setattr(tiles, "_CHAINS_A_MAP", 2)
+    intact, numbers = Engine._photons, []
+
+    def counted(engine, variant, chain, stored, key, index, count):
+        numbers.append(index)
+        return intact(engine, variant, chain, stored, key, index, count)
+
+    monkeypatch.setattr(Engine, "_photons", counted)
+    found = renderer.find("specular")
+    with Engine(busy) as engine:
+        images = {
+            count: image
+            for count, image, _ in engine.prefixes(found, samples=5, seed=1, replicate=0, chain="paper")
+        }
+        assert numbers == [0, 0, 0, 1, 2]  # the first only compiles
+        for samples in (2, 4):
+            *_, (_, short, _) = engine.prefixes(found, samples=samples, seed=1, replicate=0, chain="paper")
+            np.testing.assert_array_equal(short, images[samples])
+            assert short.any()
+
+
 # Skips.
 
 

@@ -191,6 +191,23 @@ def test_a_setting_that_cannot_be_is_refused(text: str, named: str):
     assert named in str(caught.value)
 
 
+def test_a_variant_of_another_scope_is_refused():
+    """The box means first hits, `path` all bounces: the difference would be laid to the setting."""
+    setting = study.Setting(name="dark", what="", scenes=("cornell_box",), change={"irradiance": "E"})
+    mine = study.Study(scenes=("cornell_box",), resolution=(8, 8), settings=(setting,))
+    with pytest.raises(
+        ValueError, match=r"direct = 'path', of scope 'all': allowed .* 'first-hit' are next-event"
+    ):
+        list(subjects.subjects(mine, subjects.scenes_of(mine)))
+
+
+@pytest.mark.parametrize("name", study.studies())
+def test_settings_of_presets_can_be(name: str):
+    preset = study.load(name)
+    changed = [each.setting for each in subjects.subjects(preset, subjects.scenes_of(preset)) if each.setting]
+    assert len(changed) == sum(len(setting.scenes) for setting in preset.settings)
+
+
 def test_settings_of_scenes_that_are_not_measured_are_left_out():
     variants = study.load("variants")
     names = [
