@@ -117,8 +117,8 @@ def _same_scope(subject: Subject) -> None:
                     if other.limit(subject.scene, 1).scope == subject.scene.scope
                 ]
                 raise ValueError(
-                    f"settings: {subject.scene.name}: {variant.term} = {variant.name!r}, of scope {scope!r}: allowed with "
-                    f"scope = {subject.scene.scope!r} are {', '.join(fitting)}"
+                    f"settings: {subject.scene.name}: {variant.term} = {variant.name!r}, of scope {scope!r}: "
+                    f"allowed with scope = {subject.scene.scope!r} are {', '.join(fitting)}"
                 )
 
 
