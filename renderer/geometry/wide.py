@@ -174,7 +174,8 @@ def _write(
                 for axis in range(3):
                     nodes[node, WIDTH * axis + lane] = _NOWHERE
                     nodes[node, HIGH + WIDTH * axis + lane] = -_NOWHERE
-                links[node, LINKS + lane] = 0
+                # A ray without a direction meets even this: what is here must end.
+                links[node, LINKS + lane] = -1
                 continue
             child = children[lane]
             for axis in range(3):

@@ -217,9 +217,13 @@ def test_empty_scene_and_rays_without_direction():
     none = np.zeros((0, 3, 3))
     assert (fast(none, bvh.build(none), np.zeros((4, 3)), np.ones((4, 3)), np.inf)[1] == -1).all()
     directions = np.array([[0.0, -0.0, 0.0], [np.nan, 1.0, 0.0], [np.nan, np.nan, np.nan]])
-    _, face, found = check(mesh("box"), np.zeros((3, 3)), directions)
-    assert (face == -1).all()
-    assert not found.any()
+    rng = np.random.default_rng(11)
+    # Nodes with 0 to 6 children unused, at several depths: none of them may lead back.
+    for faces in (1, 2, 3, 9, 17, 40, 300, 5000):
+        for origin in (np.zeros(3), np.full(3, np.nan), np.full(3, np.inf)):
+            _, face, found = check(soup(rng, faces, 0.1), np.tile(origin, (3, 1)), directions)
+            assert (face == -1).all()
+            assert not found.any()
 
 
 def test_equal_centroids():
