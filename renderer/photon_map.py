@@ -6,7 +6,8 @@ is estimated without bias. Photons of the other side of a surface never count.
 Each pass has a map of its own, with the radius of Knaus and Zwicker, "Progressive Photon Mapping: A Probabilistic
 Approach", TOG 30(3), 2011: `r²_{i+1} = r²_i (i + 2/3) / (i + 1)`. The mean over passes is biased by O(r²) inside
 a surface (`r² ΔE / (4 (p + 2))`: 1/8 for the uniform kernel, 1/12 for Epanechnikov's, 1/16 for Simpson's), by O(r)
-along edges and shadow borders, and unbiased as r -> 0; the MSE falls as N^(-2/3).
+along edges and shadow borders, and unbiased as r -> 0; the MSE falls as N^(-2/3) for independent photons. Those of a
+map that share a low-discrepancy sequence have less of it, a gain that fades as r shrinks: about N^-0.54 at 40 photons.
 """
 
 import math

@@ -1,7 +1,8 @@
 """`closest_hit` and `any_hit` as this machine computes them best, and loops that trace many, in packets if it pays.
 
 Both descents meet the same face at the same t: the wide tree's, eight boxes or triangles at a time, and the binary
-tree's, the reference, which needs no vectors.
+tree's, the reference, which needs no vectors. Render kernels trace single rays; packets and bundles serve the loops
+over many rays alone, as yet.
 """
 
 import numpy as np
