@@ -8,6 +8,7 @@ from renderer.arrays import CameraArrays, SceneArrays
 from renderer.camera import CENTRE, camera_ray
 from renderer.jit import device, kernel
 from renderer.rng import fold
+from renderer.scratch import Scratch
 from renderer.sobol import Sampler
 from renderer.surface import Surface, trace
 from renderer.vector import Vec3, length, sub, vec3
@@ -24,11 +25,11 @@ class Tile(NamedTuple):
 
 @device
 def first_surface(
-    scene: SceneArrays, key: np.uint64, x: int, y: int, index: int, stack: np.ndarray
+    scene: SceneArrays, key: np.uint64, x: int, y: int, index: int, scratch: Scratch
 ) -> tuple[Surface, Sampler]:
     """What sample `index` of a pixel sees first, and the sampler of all that follows."""
     sampler = Sampler(fold(key, y * scene.camera.width + x), np.uint32(index))
-    return trace(scene, camera_ray(scene.camera, x, y, sampler), -1, stack), sampler
+    return trace(scene, camera_ray(scene.camera, x, y, sampler), -1, scratch), sampler
 
 
 @device
@@ -53,14 +54,14 @@ class GeometryImages(NamedTuple):
 
 
 @kernel
-def trace_centres(scene: SceneArrays, tile: Tile, stack: np.ndarray, images: GeometryImages) -> None:
+def trace_centres(scene: SceneArrays, tile: Tile, images: GeometryImages, scratch: Scratch) -> None:
     """Fill a tile of the geometry images."""
     c = scene.camera
     centre = CameraArrays(c.position, c.corner, c.across, c.down, c.width, c.height, CENTRE)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             ray = camera_ray(centre, x, y, Sampler(np.uint64(0), np.uint32(0)))
-            surface = trace(scene, ray, -1, stack)
+            surface = trace(scene, ray, -1, scratch)
             images.object[y, x] = surface.object
             images.face[y, x] = surface.face
             if surface.face >= 0:

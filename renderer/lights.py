@@ -7,10 +7,9 @@ Unbiased at any count.
 
 import math
 
-import numpy as np
-
 from renderer.arrays import Emitters, SceneArrays
 from renderer.jit import device
+from renderer.scratch import Scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, occluded, point_on_face
 from renderer.vector import Vec3, dot, entry, length, scale, sub, vec3
@@ -34,7 +33,7 @@ def pick(emitters: Emitters, u: float) -> tuple[int, float]:
 
 @device
 def light_irradiance(
-    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, stack: np.ndarray
+    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch
 ) -> Vec3:
     """E / pi at a surface, one sample; uses the pairs `dimension` and `dimension + 1`."""
     emitters = scene.emitters
@@ -66,6 +65,6 @@ def light_irradiance(
         return Vec3(0.0, 0.0, 0.0)
     square = dot(direction, direction)
     strength *= cos_surface / (square * math.sqrt(square))
-    if occluded(scene, surface, direction, 1.0, target, stack):
+    if occluded(scene, surface, direction, 1.0, target, scratch):
         return Vec3(0.0, 0.0, 0.0)
     return scale(radiant, strength)

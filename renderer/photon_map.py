@@ -18,6 +18,7 @@ import numpy as np
 from renderer.arrays import SceneArrays
 from renderer.jit import device, kernel
 from renderer.kernel_mass import EXPONENTS, falloff, kernel_mass, peak, same_surface
+from renderer.scratch import DENSITY_ESTIMATES, Scratch
 from renderer.surface import Surface
 from renderer.vector import Vec3, dot, entry, vec3
 
@@ -148,10 +149,11 @@ def cell_index(position: float, low: float, cell: float, count: int) -> int:
 
 
 @device
-def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface, stack: np.ndarray) -> Vec3:
+def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface, scratch: Scratch) -> Vec3:
     """E at a surface point by the map's kernel, divided by its mass on the surface."""
     if len(photons.face) == 0:
         return Vec3(0.0, 0.0, 0.0)
+    scratch.counts[DENSITY_ESTIMATES] += 1
     geometry = scene.geometry
     x = surface.point
     radius = photons.radius
@@ -196,6 +198,6 @@ def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface
                 blue += weight * photons.power[p, 2]
     if red == 0.0 and green == 0.0 and blue == 0.0:
         return Vec3(0.0, 0.0, 0.0)
-    mass = kernel_mass(scene, surface.face, x, radius, photons.exponent, stack)
+    mass = kernel_mass(scene, surface.face, x, radius, photons.exponent, scratch.stack)
     norm = peak(radius, photons.exponent) / mass
     return Vec3(red * norm, green * norm, blue * norm)

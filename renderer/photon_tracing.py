@@ -17,13 +17,13 @@ from typing import NamedTuple
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.geometry.bvh import STACK_SIZE
 from renderer.geometry.intersect import make_ray
 from renderer.jit import device, kernel
 from renderer.lights import pick
 from renderer.microfacet import sample_lobe
 from renderer.photon_map import PhotonMap, build
 from renderer.rng import fold, stream
+from renderer.scratch import PHOTONS, Scratch, new_scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, point_on_face, trace
 from renderer.vector import (
@@ -153,18 +153,19 @@ def _trace_photons(
     direction: np.ndarray,
     power: np.ndarray,
     face: np.ndarray,
+    scratch: Scratch,
 ) -> int:
     """Trace photons [first, last); returns how many land, also where the arrays are too short to hold all.
 
     A photon is deposited wherever the surface has a diffuse weight, however it came there.
     """
-    stack = np.empty(STACK_SIZE, np.int32)
     landed = 0
+    scratch.counts[PHOTONS] += last - first
     for index in range(first, last):
         origin, heading, flux, origin_face = _emit(scene, _sampler(rule, key, index))
         depth = 0
         while not is_black(flux):
-            surface = trace(scene, make_ray(origin, heading), origin_face, stack)
+            surface = trace(scene, make_ray(origin, heading), origin_face, scratch)
             if surface.face < 0:
                 break
             if (depth > 0 or first_hits) and not is_black(vec3(scene.materials.diffuse, surface.object)):
@@ -200,6 +201,7 @@ def emit(
     rule: Scattering,
     first_hits: bool,
     pool: Executor,
+    counts: np.ndarray,
 ) -> PhotonMap:
     """Trace pass `index` of a replicate and build its map.
 
@@ -211,6 +213,7 @@ def emit(
     rule : how photons go on.
     first_hits : whether photons that come straight from a light are stored.
     pool : the chunks run here; their order, hence the map, does not depend on the number of threads.
+    counts : the work done is added here, see `renderer.scratch`.
     """
     photons_key = stream(stream(key, _STREAM), index)
 
@@ -220,13 +223,16 @@ def emit(
         while True:
             position, direction, power = np.empty((3, capacity, 3))
             face = np.empty(capacity, np.int32)
+            scratch = new_scratch()
             landed = _trace_photons(
-                scene, rule, first_hits, photons_key, first, last, position, direction, power, face
+                scene, rule, first_hits, photons_key, first, last, position, direction, power, face, scratch
             )
             if landed <= capacity:
-                return position[:landed], direction[:landed], power[:landed], face[:landed]
+                return position[:landed], direction[:landed], power[:landed], face[:landed], scratch.counts
             capacity = landed
 
     chunks = list(pool.map(chunk, range(0, count, _CHUNK)))
-    position, direction, power, face = (np.concatenate(parts) for parts in zip(*chunks, strict=True))
+    *photons, done = zip(*chunks, strict=True)
+    counts += np.sum(done, axis=0)
+    position, direction, power, face = map(np.concatenate, photons)
     return build(position, direction, power / count, face, radius, shape)

@@ -7,12 +7,11 @@ travelled; rays that leave it skip this face (or its object, see `Scene.ignore`)
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from renderer.arrays import Geometry, SceneArrays
 from renderer.geometry import paper, rays
 from renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
 from renderer.jit import device
+from renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
 from renderer.vector import Vec3, dot, entry, negate, normalize, sub, vec3
 
 
@@ -69,20 +68,21 @@ def _leaving(scene: SceneArrays, face: int) -> FaceRange:
 
 
 @device
-def _closest(scene: SceneArrays, ray: Ray, far: float, face: int, stack: np.ndarray) -> Hit:
+def _closest(scene: SceneArrays, ray: Ray, far: float, face: int, scratch: Scratch) -> Hit:
     """Nearest hit of a ray that leaves a face (-1: none)."""
     geometry = scene.geometry
+    scratch.counts[RAYS] += 1
     ignore = _leaving(scene, face)
     if scene.watertight:
-        return rays.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, stack)
+        return rays.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, scratch.stack)
     return paper.closest_hit(geometry.corners, ray, far, ignore)
 
 
 @device
-def trace(scene: SceneArrays, ray: Ray, leaving: int, stack: np.ndarray) -> Surface:
+def trace(scene: SceneArrays, ray: Ray, leaving: int, scratch: Scratch) -> Surface:
     """Nearest surface along a ray of unit direction, `leaving` being the face that it leaves (-1: none)."""
     geometry = scene.geometry
-    hit = _closest(scene, ray, math.inf, leaving, stack)
+    hit = _closest(scene, ray, math.inf, leaving, scratch)
     wo = negate(ray.direction)
     if hit.face < 0:
         return Surface(ray.origin, wo, wo, -1, -1, 1.0)
@@ -95,7 +95,7 @@ def trace(scene: SceneArrays, ray: Ray, leaving: int, stack: np.ndarray) -> Surf
 
 
 @device
-def shadowed(scene: SceneArrays, surface: Surface, stack: np.ndarray) -> bool:
+def shadowed(scene: SceneArrays, surface: Surface, scratch: Scratch) -> bool:
     """The paper's rule: the scene has lights, and the centre of none is visible; a light's own faces do not count."""
     rule = scene.shadow_rule
     geometry = scene.geometry
@@ -104,7 +104,7 @@ def shadowed(scene: SceneArrays, surface: Surface, stack: np.ndarray) -> bool:
         leaving = surface.face
         while True:
             ray = make_ray(origin, sub(vec3(rule.centre, light), origin))
-            hit = _closest(scene, ray, 1.0, leaving, stack)
+            hit = _closest(scene, ray, 1.0, leaving, scratch)
             if hit.face < 0 or hit.t >= 1.0:
                 return False
             if geometry.object[hit.face] != rule.object[light]:
@@ -117,12 +117,13 @@ def shadowed(scene: SceneArrays, surface: Surface, stack: np.ndarray) -> bool:
 
 @device
 def occluded(
-    scene: SceneArrays, surface: Surface, direction: Vec3, far: float, target: int, stack: np.ndarray
+    scene: SceneArrays, surface: Surface, direction: Vec3, far: float, target: int, scratch: Scratch
 ) -> bool:
     """Whether anything but face `target` lies nearer than `far` (in lengths of `direction`)."""
     geometry = scene.geometry
     ray = make_ray(surface.point, direction)
+    scratch.counts[OCCLUSION_RAYS] += 1
     ignore = _leaving(scene, surface.face)
     if scene.watertight:
-        return rays.any_hit(geometry.corners, geometry.tree, ray, far, ignore, target, stack)
+        return rays.any_hit(geometry.corners, geometry.tree, ray, far, ignore, target, scratch.stack)
     return paper.any_hit(geometry.corners, ray, far, ignore, target)

@@ -14,10 +14,10 @@ import numpy as np
 from renderer import photon_map, photon_tracing
 from renderer.arrays import SceneArrays, from_scene
 from renderer.film import GeometryImages, Tile, trace_centres
-from renderer.geometry.bvh import STACK_SIZE
 from renderer.jit import warm
 from renderer.plan import check, needs_photons, skipped
 from renderer.rng import root
+from renderer.scratch import COUNTERS, new_scratch
 from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
 
@@ -68,6 +68,7 @@ class Engine:
         threads = threads or os.cpu_count() or 1
         self.pool = ThreadPoolExecutor(threads)
         self.compile_seconds = 0.0
+        self._counts = np.zeros(len(COUNTERS), np.int64)
         self.tiles = _tiles(*scene.resolution, least=_TILES_A_THREAD * threads)
 
     def __enter__(self) -> "Engine":
@@ -77,6 +78,11 @@ class Engine:
     def __exit__(self, *exception: object) -> None:
         """Let running tiles finish and drop the rest."""
         self.pool.shutdown(cancel_futures=True)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Work done so far by all runs, by name of `renderer.scratch.COUNTERS`."""
+        return dict(zip(COUNTERS, map(int, self._counts), strict=True))
 
     def prefixes(
         self,
@@ -137,7 +143,7 @@ class Engine:
         )
 
         def draw(tile: Tile) -> None:
-            trace_centres(self.arrays, tile, np.empty(STACK_SIZE, np.int32), images)
+            trace_centres(self.arrays, tile, images, new_scratch())
 
         for _ in self.pool.map(draw, self.tiles):
             pass
@@ -153,22 +159,26 @@ class Engine:
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
-        def draw(tile: Tile) -> None:
+        def draw(tile: Tile) -> np.ndarray:
             if cancel is not None and cancel.is_set():
                 raise Cancelled
-            variant.driver(self.arrays, *inputs, key, first, last, tile, out)
+            scratch = new_scratch()
+            variant.driver(self.arrays, *inputs, key, first, last, tile, out, scratch)
+            return scratch.counts
 
-        for _ in self.pool.map(draw, self.tiles):
-            pass
+        for done in self.pool.map(draw, self.tiles):
+            self._counts += done
 
     def _warm(
         self, variant: Variant, chain: Chain, stored: Stored | None, key: np.uint64, out: np.ndarray
     ) -> None:
         """Compile before the clock starts."""
         start = time.perf_counter()
+        done = self._counts.copy()
         photons = self._photons(variant, chain, stored, key, 0, 1) if stored else photon_map.empty()
+        self._counts[:] = done
         inputs = variant.inputs(self.scene, chain, photons)
-        warm(variant.driver, self.arrays, *inputs, key, 0, 1, self.tiles[0], out)
+        warm(variant.driver, self.arrays, *inputs, key, 0, 1, self.tiles[0], out, new_scratch())
         self.compile_seconds += time.perf_counter() - start
 
     def _photons(
@@ -195,4 +205,5 @@ class Engine:
             rule=rule,
             first_hits=stored != "scattered",
             pool=self.pool,
+            counts=self._counts,
         )

@@ -19,9 +19,9 @@ import numpy as np
 
 from renderer.arrays import SceneArrays
 from renderer.film import Tile, accumulate, first_surface
-from renderer.geometry.bvh import STACK_SIZE
 from renderer.jit import device, kernel
 from renderer.photon_map import PhotonMap
+from renderer.scratch import Scratch
 from renderer.sobol import Sampler, sample_2d
 from renderer.surface import Surface, occluded, shadowed
 from renderer.terms.variant import Chain, Variant
@@ -52,7 +52,7 @@ def sample_hemisphere(rule: int, rings: int, u: float, v: float) -> tuple[Vec3, 
 
 @device
 def ambient_radiance(
-    scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler, stack: np.ndarray
+    scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler, scratch: Scratch
 ) -> Vec3:
     """Ambient radiance of a surface by one occlusion ray, drawn by `rule`; `dark`: shadowed by the paper's rule."""
     share = scene.materials.color if dark else scene.materials.diffuse
@@ -62,23 +62,29 @@ def ambient_radiance(
     u, v = sample_2d(sampler, OCCLUSION)
     local, weight = sample_hemisphere(rule, scene.rings, u, v)
     direction = to_world(frame(surface.normal), local)
-    if occluded(scene, surface, direction, scene.ambient_range, -1, stack):
+    if occluded(scene, surface, direction, scene.ambient_range, -1, scratch):
         return Vec3(0.0, 0.0, 0.0)
     return scale(radiance, weight)
 
 
 @kernel
 def _occlusion(
-    scene: SceneArrays, rule: int, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray
+    scene: SceneArrays,
+    rule: int,
+    key: np.uint64,
+    first: int,
+    last: int,
+    tile: Tile,
+    out: np.ndarray,
+    scratch: Scratch,
 ) -> None:
-    stack = np.empty(STACK_SIZE, np.int32)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, stack)
+                surface, sampler = first_surface(scene, key, x, y, index, scratch)
                 if surface.face >= 0:
-                    dark = shadowed(scene, surface, stack)
-                    accumulate(out, x, y, ambient_radiance(scene, rule, surface, dark, sampler, stack))
+                    dark = shadowed(scene, surface, scratch)
+                    accumulate(out, x, y, ambient_radiance(scene, rule, surface, dark, sampler, scratch))
 
 
 def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

@@ -8,9 +8,9 @@ import numpy as np
 from renderer.arrays import SceneArrays
 from renderer.camera import camera_ray
 from renderer.film import Tile, accumulate
-from renderer.geometry.bvh import STACK_SIZE
 from renderer.jit import kernel
 from renderer.rng import fold
+from renderer.scratch import Scratch
 from renderer.sky import sky_radiance
 from renderer.sobol import Sampler
 from renderer.surface import trace
@@ -20,14 +20,15 @@ from scenes.limits import Limit
 
 
 @kernel
-def _seen(scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray) -> None:
-    stack = np.empty(STACK_SIZE, np.int32)
+def _seen(
+    scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray, scratch: Scratch
+) -> None:
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
                 sampler = Sampler(fold(key, y * scene.camera.width + x), np.uint32(index))
                 ray = camera_ray(scene.camera, x, y, sampler)
-                surface = trace(scene, ray, -1, stack)
+                surface = trace(scene, ray, -1, scratch)
                 if surface.face < 0:
                     accumulate(out, x, y, sky_radiance(scene.sky, ray.origin, ray.direction))
                 elif scene.draw_lights and surface.side > 0.0:

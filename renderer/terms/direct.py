@@ -11,7 +11,6 @@ import numpy as np
 
 from renderer.arrays import SceneArrays
 from renderer.film import Tile, accumulate, first_surface
-from renderer.geometry.bvh import STACK_SIZE
 from renderer.geometry.intersect import make_ray
 from renderer.jit import device, kernel
 from renderer.lights import light_irradiance
@@ -19,6 +18,7 @@ from renderer.photon_map import PhotonMap, estimate_irradiance
 from renderer.photon_search import nearest_irradiance
 from renderer.photon_tracing import MAX_SURVIVAL
 from renderer.rng import fold
+from renderer.scratch import DENSITY_ESTIMATES, Scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, shadowed, trace
 from renderer.terms.variant import Variant
@@ -36,7 +36,7 @@ _PATH = 64  # keys of a path's vertices: beyond the pairs above
 
 @device
 def direct_next_event(
-    scene: SceneArrays, photons: PhotonMap, surface: Surface, sampler: Sampler, stack: np.ndarray
+    scene: SceneArrays, photons: PhotonMap, surface: Surface, sampler: Sampler, scratch: Scratch
 ) -> Vec3:
     """Light sampling for the first hit, the photon map (without first hits) for the rest.
 
@@ -45,13 +45,13 @@ def direct_next_event(
     weight = vec3(scene.materials.diffuse, surface.object)
     if is_black(weight):
         return weight
-    straight = light_irradiance(scene, surface, sampler, LIGHT, stack)
-    scattered = estimate_irradiance(scene, photons, surface, stack)
+    straight = light_irradiance(scene, surface, sampler, LIGHT, scratch)
+    scattered = estimate_irradiance(scene, photons, surface, scratch)
     return scale(mul(weight, mad(scattered, INV_PI, straight)), scene.irradiance_factor)
 
 
 @device
-def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, stack: np.ndarray) -> Vec3:
+def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch: Scratch) -> Vec3:
     """E_all by a diffusely scattered path with light sampling at every vertex. Unbiased at any N.
 
     Roulette survives with the largest channel of the albedo and divides by it.
@@ -60,10 +60,10 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, stack: n
     radiance = Vec3(0.0, 0.0, 0.0)
     vertex = 0
     while not is_black(throughput):
-        radiance = add(radiance, mul(throughput, light_irradiance(scene, surface, sampler, LIGHT, stack)))
+        radiance = add(radiance, mul(throughput, light_irradiance(scene, surface, sampler, LIGHT, scratch)))
         u, v = sample_2d(sampler, BOUNCE)
         direction = to_world(frame(surface.normal), square_to_cosine_hemisphere(u, v))
-        surface = trace(scene, make_ray(surface.point, direction), surface.face, stack)
+        surface = trace(scene, make_ray(surface.point, direction), surface.face, scratch)
         if surface.face < 0:
             break
         albedo = vec3(scene.materials.diffuse, surface.object)
@@ -84,11 +84,13 @@ def direct_nearest(
     surface: Surface,
     heap: np.ndarray,
     chosen: np.ndarray,
+    scratch: Scratch,
 ) -> Vec3:
     """`factor` times the paper's estimate by the k nearest photons; k is the length of the scratch arrays."""
     weight = vec3(scene.materials.diffuse, surface.object)
     if is_black(weight):
         return weight
+    scratch.counts[DENSITY_ESTIMATES] += 1
     irradiance = nearest_irradiance(photons, surface, len(heap), heap, chosen)
     return scale(mul(weight, irradiance), factor * INV_PI * scene.irradiance_factor)
 
@@ -102,25 +104,26 @@ def _next_event(
     last: int,
     tile: Tile,
     out: np.ndarray,
+    scratch: Scratch,
 ) -> None:
-    stack = np.empty(STACK_SIZE, np.int32)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0 and not shadowed(scene, surface, stack):
-                    accumulate(out, x, y, direct_next_event(scene, photons, surface, sampler, stack))
+                surface, sampler = first_surface(scene, key, x, y, index, scratch)
+                if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                    accumulate(out, x, y, direct_next_event(scene, photons, surface, sampler, scratch))
 
 
 @kernel
-def _path(scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray) -> None:
-    stack = np.empty(STACK_SIZE, np.int32)
+def _path(
+    scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray, scratch: Scratch
+) -> None:
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0 and not shadowed(scene, surface, stack):
-                    accumulate(out, x, y, direct_path(scene, surface, sampler, stack))
+                surface, sampler = first_surface(scene, key, x, y, index, scratch)
+                if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                    accumulate(out, x, y, direct_path(scene, surface, sampler, scratch))
 
 
 @kernel
@@ -132,16 +135,16 @@ def _photon_map(
     last: int,
     tile: Tile,
     out: np.ndarray,
+    scratch: Scratch,
 ) -> None:
-    stack = np.empty(STACK_SIZE, np.int32)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
-                surface, _ = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0 and not shadowed(scene, surface, stack):
+                surface, _ = first_surface(scene, key, x, y, index, scratch)
+                if surface.face >= 0 and not shadowed(scene, surface, scratch):
                     weight = vec3(scene.materials.diffuse, surface.object)
                     if not is_black(weight):
-                        irradiance = estimate_irradiance(scene, photons, surface, stack)
+                        irradiance = estimate_irradiance(scene, photons, surface, scratch)
                         accumulate(
                             out, x, y, scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
                         )
@@ -158,16 +161,16 @@ def _nearest(
     last: int,
     tile: Tile,
     out: np.ndarray,
+    scratch: Scratch,
 ) -> None:
-    stack = np.empty(STACK_SIZE, np.int32)
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
-                surface, _ = first_surface(scene, key, x, y, index, stack)
-                if surface.face >= 0 and not shadowed(scene, surface, stack):
-                    radiance = direct_nearest(scene, photons, factor, surface, heap, chosen)
+                surface, _ = first_surface(scene, key, x, y, index, scratch)
+                if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                    radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
                     accumulate(out, x, y, radiance)
 
 

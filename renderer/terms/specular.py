@@ -25,12 +25,12 @@ import numpy as np
 
 from renderer.arrays import SceneArrays
 from renderer.film import Tile, accumulate, first_surface
-from renderer.geometry.bvh import STACK_SIZE
 from renderer.geometry.intersect import make_ray
 from renderer.jit import device, kernel
 from renderer.microfacet import eval_dfg, sample_lobe
 from renderer.photon_map import PhotonMap
 from renderer.rng import fold
+from renderer.scratch import Scratch
 from renderer.sky import sky_radiance
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, shadowed, trace
@@ -103,19 +103,19 @@ def _diffuse(
     chosen: np.ndarray,
     surface: Surface,
     sampler: Sampler,
-    stack: np.ndarray,
+    scratch: Scratch,
 ) -> Vec3:
     """Ambient + direct at a vertex of the chain."""
-    dark = shadowed(scene, surface, stack)
+    dark = shadowed(scene, surface, scratch)
     rule = PAPER_AMBIENT if direct == _NEAREST else COSINE
-    radiance = ambient_radiance(scene, rule, surface, dark, sampler, stack)
+    radiance = ambient_radiance(scene, rule, surface, dark, sampler, scratch)
     if dark:
         return radiance
     if direct == _PATH:
-        return add(radiance, direct_path(scene, surface, sampler, stack))
+        return add(radiance, direct_path(scene, surface, sampler, scratch))
     if direct == _NEAREST:
-        return add(radiance, direct_nearest(scene, photons, 1.0, surface, heap, chosen))
-    return add(radiance, direct_next_event(scene, photons, surface, sampler, stack))
+        return add(radiance, direct_nearest(scene, photons, 1.0, surface, heap, chosen, scratch))
+    return add(radiance, direct_next_event(scene, photons, surface, sampler, scratch))
 
 
 @kernel
@@ -130,21 +130,21 @@ def _chain(
     last: int,
     tile: Tile,
     out: np.ndarray,
+    scratch: Scratch,
 ) -> None:
-    stack = np.empty(STACK_SIZE, np.int32)
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
             for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, stack)
+                surface, sampler = first_surface(scene, key, x, y, index, scratch)
                 throughput = Vec3(1.0, 1.0, 1.0)
                 bounce = 0
                 while surface.face >= 0 and bounce < scene.max_bounces:
                     bounce += 1
                     material = surface.object
                     gloss = scene.materials.specular[material]
-                    if gloss == 0.0 or shadowed(scene, surface, stack):
+                    if gloss == 0.0 or shadowed(scene, surface, scratch):
                         break
                     local = frame(surface.normal)
                     wo = to_local(local, surface.wo)
@@ -163,12 +163,12 @@ def _chain(
                         throughput = scale(throughput, 1.0 / survival)
                     direction = to_world(local, wi)
                     origin = surface.point
-                    surface = trace(scene, make_ray(origin, direction), surface.face, stack)
+                    surface = trace(scene, make_ray(origin, direction), surface.face, scratch)
                     sampler = Sampler(fold(sampler.key, _CHAIN), sampler.index)
                     if surface.face < 0:
                         radiance = sky_radiance(scene.sky, origin, direction)
                     else:
-                        radiance = _diffuse(scene, direct, photons, heap, chosen, surface, sampler, stack)
+                        radiance = _diffuse(scene, direct, photons, heap, chosen, surface, sampler, scratch)
                     accumulate(out, x, y, mul(throughput, radiance))
 
 

@@ -13,8 +13,8 @@ import reference
 from reference import backend, density
 from renderer import render
 from renderer.arrays import from_scene
-from renderer.geometry.bvh import STACK_SIZE
 from renderer.photon_map import build, estimate_irradiance, progressive_radius
+from renderer.scratch import new_scratch
 from renderer.surface import Surface
 from renderer.vector import Vec3
 from reports.convergence import extrapolate
@@ -24,7 +24,7 @@ from scenes.analytic import plate, unit_sphere
 from scenes.load import load
 from scenes.model import Camera, Material, Mesh, Object, Photons, PointLight, Scene
 
-STACK = np.empty(STACK_SIZE, np.int32)
+SCRATCH = new_scratch()
 UP = Vec3(0.0, 0.0, 1.0)
 
 
@@ -50,7 +50,7 @@ def at_centre(scene, xy: np.ndarray, radius: float) -> float:
     face = np.where(xy[:, 0] >= xy[:, 1], 0, 1).astype(np.int32)
     photons = build(position, np.tile(UP, (len(xy), 1)), np.full((len(xy), 3), FLUX / len(xy)), face, radius)
     point = Surface(Vec3(float(CENTRE[0]), float(CENTRE[1]), 0.0), UP, UP, 0, 0, 1.0)
-    return estimate_irradiance(scene, photons, point, STACK).x
+    return estimate_irradiance(scene, photons, point, SCRATCH).x
 
 
 def jackknifed(values: np.ndarray) -> Estimate:
@@ -158,7 +158,7 @@ def test_both_sides_make_the_same_of_the_same_photons(shape):
         normal = Vec3(*(side[i] * g.normals[query[i]]).tolist())
         point = Vec3(*points[i].tolist())
         surface = Surface(point, normal, normal, int(query[i]), int(g.object[query[i]]), float(side[i]))
-        found = estimate_irradiance(scene, photons, surface, STACK)
+        found = estimate_irradiance(scene, photons, surface, SCRATCH)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * theirs.mean())
     assert (theirs > 0).any(axis=1).sum() > 50
 

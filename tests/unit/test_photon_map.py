@@ -17,18 +17,18 @@ from scipy.spatial import KDTree
 
 from renderer import photon_map
 from renderer.arrays import SceneArrays, from_scene
-from renderer.geometry.bvh import STACK_SIZE
 from renderer.kernel_mass import EXPONENTS, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, kernel_mass
 from renderer.photon_map import build, empty, estimate_irradiance, progressive_radius
 from renderer.photon_search import nearest_irradiance
 from renderer.photon_tracing import Scattering, emit
 from renderer.rng import root
+from renderer.scratch import new_scratch
 from renderer.surface import Surface
 from renderer.vector import Vec3
 from scenes.analytic import closed_box, plate, unit_sphere
 from scenes.model import Camera, Material, Mesh, Object, PointLight, Scene
 
-STACK = np.empty(STACK_SIZE, np.int32)
+SCRATCH = new_scratch()
 UP = Vec3(0.0, 0.0, 1.0)
 
 
@@ -145,8 +145,8 @@ def test_gather_against_kdtree(crowd, radius, shape, compiled):
                 if g.smooth[face[p]]:
                     weight *= max(0.0, direction[p] @ query.normal) / abs(cos)
                 expected += weight * power[p]
-        expected /= kernel_mass(scene, query.face, query.point, radius, EXPONENTS[shape], STACK)
-        found = estimate_irradiance(scene, photons, query, STACK)
+        expected /= kernel_mass(scene, query.face, query.point, radius, EXPONENTS[shape], SCRATCH.stack)
+        found = estimate_irradiance(scene, photons, query, SCRATCH)
         np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12 * expected.max(initial=1))
         filled += expected.any()
     assert filled > 5
@@ -208,7 +208,7 @@ def test_constant_irradiance_is_unbiased_up_to_edges_and_corners(shape, compiled
     values = []
     for _ in range(maps):
         photons = on_plate(rng.uniform(size=(count, 2)), 1 / count, 0.15, shape)
-        values.append([estimate_irradiance(scene, photons, at((*q, 0.0)), STACK).x for q in queries])
+        values.append([estimate_irradiance(scene, photons, at((*q, 0.0)), SCRATCH).x for q in queries])
     error = np.std(values, axis=0, ddof=1) / np.sqrt(maps)
     assert (np.abs(np.mean(values, axis=0) - 1) < 4.5 * error).all()
     assert error.max() < (0.05 if compiled else 0.3)
@@ -230,7 +230,7 @@ def test_quadratic_irradiance_is_biased_by_the_law(shape, compiled):
         photons = on_plate(xy, power, r, shape)
         for qx, qy in ((0.5, 0.4), (0.4, 0.61)):
             exact = 1 + 3 * qx**2 + 2 * qy**2
-            bias = estimate_irradiance(scene, photons, at((qx, qy, 0.0)), STACK).x - exact
+            bias = estimate_irradiance(scene, photons, at((qx, qy, 0.0)), SCRATCH).x - exact
             rim = 2 * exact * (n * r) ** (2 / 3) / (np.pi * (n * r) ** 2) if shape == "uniform" else 0.0
             assert bias == pytest.approx(COEFFICIENTS[shape] * r * r * 10, rel=0.01, abs=3e-4 + rim)
 
@@ -244,7 +244,7 @@ def test_half_plane_is_blurred_by_the_marginal(shape, compiled):
     photons = on_plate(xy[xy[:, 0] > 0.5], 1 / n**2, r, shape)
     scene = arrays(unit_plate())
     for a in (-0.15, -0.05, 0.0, 0.1):
-        found = estimate_irradiance(scene, photons, at((0.5 + a, 0.5, 0.0)), STACK).x
+        found = estimate_irradiance(scene, photons, at((0.5 + a, 0.5, 0.0)), SCRATCH).x
         assert found == pytest.approx(one_sided(shape, a, r), abs=4e-3 if compiled else 0.02)
 
 
@@ -259,7 +259,7 @@ def test_lit_quadrant_near_a_corner(shape, compiled):
     xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
     photons = on_plate(xy, xy[:, 0] * xy[:, 1] / n**2, r, shape)
     expected = 2 * integrate.quad(lambda d: float(profile(shape, d * d, r)) * d**3, 0, r)[0]
-    found = estimate_irradiance(arrays(unit_plate()), photons, at((0.0, 0.0, 0.0)), STACK).x
+    found = estimate_irradiance(arrays(unit_plate()), photons, at((0.0, 0.0, 0.0)), SCRATCH).x
     assert found == pytest.approx(expected, rel=0.01 if compiled else 0.03)
 
 
@@ -285,7 +285,7 @@ def test_linear_irradiance_is_biased_along_edges_alone(shape, compiled):
 
         def bias(qx: float, qy: float, photons=photons) -> float:
             exact = 1 + 3 * qx + 2 * qy
-            return estimate_irradiance(scene, photons, at((qx, qy, 0.0)), STACK).x - exact
+            return estimate_irradiance(scene, photons, at((qx, qy, 0.0)), SCRATCH).x - exact
 
         on_edge = 2 / np.pi * MEAN_DISTANCES[shape] * r
         for a in (0.0, 0.2 * r, 0.6 * r):
@@ -308,10 +308,10 @@ def test_photons_of_the_other_side_never_count():
     below = on_plate(xy, 1.0, 0.3, direction=(0.0, 0.6, -0.8))
     scratch = np.empty(5), np.empty(5, np.int64)
     above = at((0.5, 0.4, 0.0))
-    assert estimate_irradiance(scene, below, above, STACK) == (0.0, 0.0, 0.0)
+    assert estimate_irradiance(scene, below, above, SCRATCH) == (0.0, 0.0, 0.0)
     assert nearest_irradiance(below, above, 5, *scratch) == (0.0, 0.0, 0.0)
     under = at((0.5, 0.4, 0.0), Vec3(0.0, 0.0, -1.0), side=-1.0)
-    assert estimate_irradiance(scene, below, under, STACK).x > 0
+    assert estimate_irradiance(scene, below, under, SCRATCH).x > 0
     assert nearest_irradiance(below, under, 5, *scratch).x > 0
 
 
@@ -322,8 +322,8 @@ def test_photons_do_not_leak_to_another_object():
     position = np.column_stack([xy, np.full(200, 0.05)])
     face = np.full(200, 2, np.int32)
     photons = build(position, np.tile([0.0, 0.0, 1.0], (200, 1)), np.ones((200, 3)), face, 0.3)
-    assert estimate_irradiance(scene, photons, at((0.5, 0.4, 0.0)), STACK) == (0.0, 0.0, 0.0)
-    assert estimate_irradiance(scene, photons, at((0.5, 0.4, 0.05), face=2, thing=1), STACK).x > 0
+    assert estimate_irradiance(scene, photons, at((0.5, 0.4, 0.0)), SCRATCH) == (0.0, 0.0, 0.0)
+    assert estimate_irradiance(scene, photons, at((0.5, 0.4, 0.05), face=2, thing=1), SCRATCH).x > 0
 
 
 def test_thin_walls_do_not_leak():
@@ -354,9 +354,9 @@ def test_thin_walls_do_not_leak():
         photons = build(position, g.normals[face], np.ones((len(face), 3)), face, 0.2)
         for other in set(dark) - set(lit):
             query = at(g.corners[other].mean(axis=0), vec(g.normals[other]), face=other)
-            assert estimate_irradiance(scene, photons, query, STACK) == (0.0, 0.0, 0.0)
+            assert estimate_irradiance(scene, photons, query, SCRATCH) == (0.0, 0.0, 0.0)
         here = at(g.corners[lit[0]].mean(axis=0), vec(g.normals[lit[0]]), face=int(lit[0]))
-        assert estimate_irradiance(scene, photons, here, STACK).x > 0
+        assert estimate_irradiance(scene, photons, here, SCRATCH).x > 0
 
 
 @pytest.mark.parametrize("height", [0.01, 0.019, 0.021, 0.15])
@@ -378,7 +378,7 @@ def test_light_does_not_leak_down_a_step(height, compiled):
         position, np.tile([0.0, 0.0, 1.0], (len(xy), 1)), np.full((len(xy), 3), 1 / n**2), face, r
     )
     for a in (0.002, 0.05, 0.1):
-        found = estimate_irradiance(scene, photons, at((-a, 0.5, 0.0)), STACK).x
+        found = estimate_irradiance(scene, photons, at((-a, 0.5, 0.0)), SCRATCH).x
         if height > MAX_PLANE_DISTANCE * r:
             assert found == 0
         else:
@@ -390,11 +390,11 @@ def test_no_photons_and_far_queries():
     scene = arrays(unit_plate())
     scratch = np.empty(5), np.empty(5, np.int64)
     photons = on_plate(np.random.default_rng(9).uniform(size=(50, 2)), 1.0, 0.1)
-    assert estimate_irradiance(scene, empty(), at((0.5, 0.4, 0.0)), STACK) == (0.0, 0.0, 0.0)
+    assert estimate_irradiance(scene, empty(), at((0.5, 0.4, 0.0)), SCRATCH) == (0.0, 0.0, 0.0)
     assert nearest_irradiance(empty(), at((0.5, 0.4, 0.0)), 5, *scratch) == (0.0, 0.0, 0.0)
     for far in (1e30, -1e30, 1e300):
         query = at((far, far, far))
-        assert estimate_irradiance(scene, photons, query, STACK) == (0.0, 0.0, 0.0)
+        assert estimate_irradiance(scene, photons, query, SCRATCH) == (0.0, 0.0, 0.0)
         assert nearest_irradiance(photons, query, 5, *scratch).x < 1e-50
 
 
@@ -422,8 +422,8 @@ def test_order_of_photons_changes_nothing_but_rounding():
     shuffled = rng.permutation(500)
     one, other = on_plate(xy, power, 0.1), on_plate(xy[shuffled], power[shuffled], 0.1)
     for q in rng.uniform(size=(20, 2)):
-        a = estimate_irradiance(scene, one, at((*q, 0.0)), STACK)
-        np.testing.assert_allclose(estimate_irradiance(scene, other, at((*q, 0.0)), STACK), a, rtol=1e-12)
+        a = estimate_irradiance(scene, one, at((*q, 0.0)), SCRATCH)
+        np.testing.assert_allclose(estimate_irradiance(scene, other, at((*q, 0.0)), SCRATCH), a, rtol=1e-12)
 
 
 def test_progressive_radius_is_the_product():
@@ -459,6 +459,7 @@ def emitted(
             rule=Scattering(survival, weighted, full, independent=False),
             first_hits=first_hits,
             pool=pool,
+            counts=SCRATCH.counts,
         )
 
 
