@@ -86,11 +86,15 @@ def _compile(function: F, **options: Any) -> F:
 def device(function: F) -> F:
     """Compile a function that kernels call; it may not make an array.
 
+    It is inlined into the kernel, always: a call that LLVM leaves copies the whole scene, hundreds of words of array
+    descriptors, to the stack. Left to LLVM renders take 1.3 to 2.2 times as long (15 rows: ambient, direct, specular
+    of three scenes), and compile no faster.
+
     It counts no references: the kernel holds all arrays while it runs. Counted, each call that LLVM does not inline
     adds to and takes from the count of every array of the scene, atomically, and the threads share these counters:
     renders on 2 cores then took 1.9 to 3.6 times as long (ambient, direct, specular of three scenes).
     """
-    return _compile(function, _nrt=False)
+    return _compile(function, _nrt=False, forceinline=True)
 
 
 KERNELS: list[Any] = []
