@@ -5,13 +5,14 @@ from typing import NamedTuple
 import numpy as np
 
 from renderer.arrays import CameraArrays, SceneArrays
-from renderer.camera import CENTRE, camera_ray
+from renderer.camera import CENTRE, JITTER, camera_ray
+from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
 from renderer.rng import fold
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler
-from renderer.surface import Surface, trace
-from renderer.vector import Vec3, length, sub, vec3
+from renderer.surface import put_ray, trace, trace_group
+from renderer.vector import Vec3, length, put, sub, vec3
 
 
 class Tile(NamedTuple):
@@ -24,12 +25,35 @@ class Tile(NamedTuple):
 
 
 @device
-def first_surface(
-    scene: SceneArrays, key: np.uint64, x: int, y: int, index: int, scratch: Scratch
-) -> tuple[Surface, Sampler]:
-    """What sample `index` of a pixel sees first, and the sampler of all that follows."""
-    sampler = Sampler(fold(key, y * scene.camera.width + x), np.uint32(index))
-    return trace(scene, camera_ray(scene.camera, x, y, sampler), -1, scratch), sampler
+def sampler_of(scene: SceneArrays, key: np.uint64, x: int, y: int, index: int) -> Sampler:
+    """Randomness of sample `index` of a pixel."""
+    return Sampler(fold(key, y * scene.camera.width + x), np.uint32(index))
+
+
+@device
+def see(
+    scene: SceneArrays, key: np.uint64, x: int, y: int, start: int, count: int, first: int, scratch: Scratch
+) -> None:
+    """Trace `scratch.sights`: what the samples start ... start + count - 1 of a pixel see, `first` being its first.
+
+    Rays through one point of the pixel are one ray: it is traced for the first sample alone.
+    """
+    sights = scratch.sights
+    if scene.camera.rule == JITTER:
+        for i in range(count):
+            ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, x, y, start + i))
+            put_ray(sights, i, ray.origin, ray.direction)
+        trace_group(scene, sights, count, scratch)
+    elif start == first:
+        ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, x, y, start))
+        for i in range(SIZE):
+            put_ray(sights, i, ray.origin, ray.direction)
+        trace_group(scene, sights, 1, scratch)
+        for i in range(1, SIZE):
+            sights.t[i] = sights.t[0]
+            sights.face[i] = sights.face[0]
+            sights.b1[i] = sights.b1[0]
+            sights.b2[i] = sights.b2[0]
 
 
 @device
@@ -38,6 +62,14 @@ def accumulate(out: np.ndarray, x: int, y: int, radiance: Vec3) -> None:
     out[y, x, 0] += radiance.x
     out[y, x, 1] += radiance.y
     out[y, x, 2] += radiance.z
+
+
+@device
+def darken(scratch: Scratch, asking: int) -> None:
+    """Make black what the first `asking` of `scratch.rays` found hidden."""
+    for k in range(asking):
+        if scratch.rays.found[k]:
+            put(scratch.radiance, scratch.lane[k], Vec3(0.0, 0.0, 0.0))
 
 
 class GeometryImages(NamedTuple):

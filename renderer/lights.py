@@ -12,7 +12,7 @@ from renderer.jit import device
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, occluded, point_on_face
-from renderer.vector import Vec3, dot, entry, length, scale, sub, vec3
+from renderer.vector import Vec3, dot, entry, is_black, length, scale, sub, vec3
 from renderer.warp import INV_PI, square_to_triangle
 
 
@@ -32,13 +32,17 @@ def pick(emitters: Emitters, u: float) -> tuple[int, float]:
 
 
 @device
-def light_irradiance(
-    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch
-) -> Vec3:
-    """E / pi at a surface, one sample; uses the pairs `dimension` and `dimension + 1`."""
+def sample_light(
+    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int
+) -> tuple[Vec3, Vec3, int]:
+    """E / pi at a surface by one sample, were it not hidden; the way to the light, and its face (-1: a point).
+
+    Uses the pairs `dimension` and `dimension + 1`. Black where no light can come from, without a ray.
+    """
+    black = Vec3(0.0, 0.0, 0.0)
     emitters = scene.emitters
     if len(emitters.cdf) == 0:
-        return Vec3(0.0, 0.0, 0.0)
+        return black, black, -1
     index = 0
     probability = 1.0
     if len(emitters.cdf) > 1:
@@ -56,15 +60,24 @@ def light_irradiance(
         direction = sub(point_on_face(scene.geometry, target, b1, b2), surface.point)
         cos_light = -dot(vec3(scene.geometry.normals, target), direction)
         if cos_light <= 0.0:
-            return Vec3(0.0, 0.0, 0.0)
+            return black, black, -1
         radiant = vec3(scene.materials.emission, scene.geometry.object[target])
         strength = INV_PI * emitters.area[index - points] * cos_light / (length(direction) * probability)
     # `direction` is not normalised: each cosine carries one factor of the distance.
     cos_surface = dot(surface.normal, direction)
     if cos_surface <= 0.0:
-        return Vec3(0.0, 0.0, 0.0)
+        return black, black, -1
     square = dot(direction, direction)
     strength *= cos_surface / (square * math.sqrt(square))
-    if occluded(scene, surface, direction, 1.0, target, scratch):
+    return scale(radiant, strength), direction, target
+
+
+@device
+def light_irradiance(
+    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch
+) -> Vec3:
+    """E / pi at a surface, one sample; uses the pairs `dimension` and `dimension + 1`."""
+    irradiance, direction, target = sample_light(scene, surface, sampler, dimension)
+    if is_black(irradiance) or occluded(scene, surface, direction, 1.0, target, scratch):
         return Vec3(0.0, 0.0, 0.0)
-    return scale(radiant, strength)
+    return irradiance

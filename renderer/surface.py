@@ -10,9 +10,10 @@ from typing import NamedTuple
 from renderer.arrays import Geometry, SceneArrays
 from renderer.geometry import paper, rays
 from renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
+from renderer.geometry.packets import Group
 from renderer.jit import device
 from renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
-from renderer.vector import Vec3, dot, entry, negate, normalize, sub, vec3
+from renderer.vector import Vec3, dot, entry, negate, normalize, put, sub, vec3
 
 
 class Surface(NamedTuple):
@@ -81,11 +82,15 @@ def _closest(scene: SceneArrays, ray: Ray, far: float, face: int, scratch: Scrat
 @device
 def trace(scene: SceneArrays, ray: Ray, leaving: int, scratch: Scratch) -> Surface:
     """Nearest surface along a ray of unit direction, `leaving` being the face that it leaves (-1: none)."""
+    return _surface(scene, _closest(scene, ray, math.inf, leaving, scratch), ray.origin, ray.direction)
+
+
+@device
+def _surface(scene: SceneArrays, hit: Hit, origin: Vec3, direction: Vec3) -> Surface:
     geometry = scene.geometry
-    hit = _closest(scene, ray, math.inf, leaving, scratch)
-    wo = negate(ray.direction)
+    wo = negate(direction)
     if hit.face < 0:
-        return Surface(ray.origin, wo, wo, -1, -1, 1.0)
+        return Surface(origin, wo, wo, -1, -1, 1.0)
     normal = _shading_normal(geometry, hit.face, hit.b1, hit.b2)
     if scene.face_forward and dot(normal, wo) < 0.0:
         normal = negate(normal)
@@ -127,3 +132,67 @@ def occluded(
     if scene.watertight:
         return rays.any_hit(geometry.corners, geometry.tree, ray, far, ignore, target, scratch.stack)
     return paper.any_hit(geometry.corners, ray, far, ignore, target)
+
+
+@device
+def put_ray(group: Group, i: int, origin: Vec3, direction: Vec3) -> None:
+    """Make ray i of a group one that leaves no face."""
+    put(group.origins, i, origin)
+    put(group.directions, i, direction)
+    group.first[i] = -1
+    group.end[i] = 0
+    group.target[i] = -1
+
+
+@device
+def put_occlusion_ray(
+    scene: SceneArrays, group: Group, i: int, surface: Surface, direction: Vec3, target: int
+) -> None:
+    """Make ray i of a group one that leaves a surface; face `target` does not hide."""
+    put_ray(group, i, surface.point, direction)
+    ignore = _leaving(scene, surface.face)
+    group.first[i] = ignore.first
+    group.end[i] = ignore.end
+    group.target[i] = target
+
+
+@device
+def trace_group(scene: SceneArrays, group: Group, count: int, scratch: Scratch) -> None:
+    """Nearest hits of the first `count` rays of a group, which begin near each other and go the same way."""
+    scratch.counts[RAYS] += count
+    geometry = scene.geometry
+    if scene.watertight:
+        rays.closest_hits_of_group(
+            geometry.corners, geometry.tree, group, count, math.inf, True, scratch.stack
+        )
+        return
+    for i in range(count):
+        ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+        hit = paper.closest_hit(geometry.corners, ray, math.inf, FaceRange(group.first[i], group.end[i]))
+        group.t[i] = hit.t
+        group.face[i] = hit.face
+        group.b1[i] = hit.b1
+        group.b2[i] = hit.b2
+
+
+@device
+def surface_of(scene: SceneArrays, group: Group, i: int) -> Surface:
+    """What ray i of a group has met."""
+    hit = Hit(group.t[i], entry(group.face, i), group.b1[i], group.b2[i])
+    return _surface(scene, hit, vec3(group.origins, i), vec3(group.directions, i))
+
+
+@device
+def occlude_group(
+    scene: SceneArrays, group: Group, count: int, far: float, coherent: bool, scratch: Scratch
+) -> None:
+    """Which of the first `count` rays of a group are hidden: `group.found`, as `occluded` gives it."""
+    scratch.counts[OCCLUSION_RAYS] += count
+    geometry = scene.geometry
+    if scene.watertight:
+        rays.any_hits_of_group(geometry.corners, geometry.tree, group, count, far, coherent, scratch.stack)
+        return
+    for i in range(count):
+        ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+        ignore = FaceRange(group.first[i], group.end[i])
+        group.found[i] = paper.any_hit(geometry.corners, ray, far, ignore, group.target[i])

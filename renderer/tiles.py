@@ -26,7 +26,7 @@ TILE = 32
 # core stood idle, and 32 x 32 and 8 x 8 pixels took 1.6 to 1.9 times as long on 2.
 _TILES_A_THREAD, _SMALLEST = 4, 4
 # Samples that share a map of a search for the k nearest at the vertices of a chain: its radius does not shrink.
-_CHAINS_A_MAP = 16
+_CHAINS_A_MAP = 64
 
 Progress = Callable[[int, int], None]
 

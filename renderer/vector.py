@@ -31,6 +31,14 @@ def vec3(array: np.ndarray, index: int) -> Vec3:
 
 
 @device
+def put(array: np.ndarray, index: int, v: Vec3) -> None:
+    """Write row `index` of an (N, 3) array."""
+    array[index, 0] = v.x
+    array[index, 1] = v.y
+    array[index, 2] = v.z
+
+
+@device
 def entry(array: np.ndarray, index: int) -> int:
     """Entry of an int32 array in 64 bits: tuples that hold integers of both widths do not unify."""
     return np.int64(array[index])  # type: ignore[return-value]

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from renderer.geometry import bvh
+from renderer.geometry.packets import new_group
 from renderer.geometry.rays import any_hits, closest_hits
 from scenes.load import load
 
@@ -144,7 +145,7 @@ def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
     if kind == "primary":
         return primary
     t, face = np.empty(len(directions)), np.empty(len(directions), np.int32)
-    closest_hits(mesh.corners, mesh.tree, primary.origins, primary.directions, np.inf, t, face)
+    closest_hits(mesh.corners, mesh.tree, primary.origins, primary.directions, np.inf, t, face, new_group())
     hit = np.flatnonzero(face >= 0)
     if kind == "ao":
         # Every 64th pixel of a row or so, each with its fan.
@@ -194,12 +195,19 @@ class Ours:
             rays.far,
             self.t[part],
             self.face[part],
+            new_group(),
         )
 
     def _any(self, part: slice) -> None:
         mesh, rays = self.mesh, self.rays
         any_hits(
-            mesh.corners, mesh.tree, rays.origins[part], rays.directions[part], rays.far, self.found[part]
+            mesh.corners,
+            mesh.tree,
+            rays.origins[part],
+            rays.directions[part],
+            rays.far,
+            self.found[part],
+            new_group(),
         )
 
     def run(self) -> None:

@@ -103,13 +103,16 @@ def _closed_spheres(study: Study) -> Iterator[Case]:
                     at,
                     attrs.evolve(scene, resolution=(8, 8)),
                     variant,
-                    max(
-                        1, study.exact.samples // 2
-                    ),  # each costs several rays through thousands of triangles
+                    _samples_of_chain(study.exact.samples, name, bounces),
                     own[bounces - 1],
                     right[bounces - 1],
                     gain,
                 )
+
+
+def _samples_of_chain(samples: int, variant: str, bounces: int) -> int:
+    """Uniform directions have about four times the variance for each bounce more; visible normals have next to none."""
+    return max(1, samples // 8 if variant == "vndf" else samples * 4**bounces // 64)
 
 
 def _discs(study: Study) -> Iterator[Case]:

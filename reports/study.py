@@ -30,6 +30,16 @@ def _samples(study: object, attribute: attrs.Attribute, value: dict[str, int]) -
             raise ValueError(f"samples.{name} = {count}: allowed is at least 1")
 
 
+def _photons_of(study: "Study", attribute: attrs.Attribute, value: dict[str, int]) -> None:
+    for name, count in value.items():
+        if name not in study.scenes:
+            raise ValueError(
+                f"photons_of.{name} = {count}: no such scene: allowed are {', '.join(study.scenes)}"
+            )
+        if not 1 <= count < 2**31:
+            raise ValueError(f"photons_of.{name} = {count}: allowed is a number in [1, {2**31 - 1}]")
+
+
 def _distinct(study: object, attribute: attrs.Attribute, value: tuple["Setting", ...]) -> None:
     names = [setting.name for setting in value]
     for name in names:
@@ -126,6 +136,7 @@ class Study:
     twin_maps : photon maps a replicate of the twins, which kernel estimates are then judged against (at least 64 over
         all replicates are wanted); None: they are judged against E itself, with their allowance.
     photons : photons per pass at most, instead of a scene's larger count; None: the scenes' own.
+    photons_of : photons per pass of the scenes named, whatever `photons` and the scenes say.
     samples : samples per pixel and replicate of a term, or of one variant as "term.variant"; powers of two keep
         low-discrepancy points well spread. DEFAULT_SAMPLES where nothing is said.
     variants : per term; the first is the one in `total`.
@@ -145,6 +156,7 @@ class Study:
     physical_spp: int = attrs.field(default=16, validator=_count)
     twin_maps: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     photons: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
+    photons_of: dict[str, int] = attrs.field(factory=dict, validator=_photons_of)
     samples: dict[str, int] = attrs.field(factory=dict, validator=_samples)
     variants: Variants = Variants()
     exact: Exact | None = None

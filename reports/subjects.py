@@ -55,8 +55,10 @@ def scenes_of(study: Study, names: tuple[str, ...] = ()) -> tuple[Scene, ...]:
     prepared = []
     for name in names or study.scenes:
         scene = attrs.evolve(load(name), resolution=study.resolution)
-        if study.photons and study.photons < scene.photons.count:
-            scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=study.photons))
+        count = study.photons_of.get(
+            scene.name, min(scene.photons.count, study.photons or scene.photons.count)
+        )
+        scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=count))
         prepared.append(scene)
     twice = [scene.name for scene in prepared]
     for name in twice:

@@ -65,8 +65,57 @@ from renderer.jit import device
 from renderer.vector import entry, vec3
 
 SIZE = 8
+# Groups that are traced as bundles after a packet that did not pay, or was none; twice as many each time.
+PATIENCE, MOST_PATIENCE = 4, 256
 # Nodes, leaves and triangles that a packet may test: with more a bundle is faster (measured with 328 thousand).
 MUCH_WORK = 48
+
+
+class Group(NamedTuple):
+    """Eight rays and what they meet.
+
+    Attributes
+    ----------
+    origins, directions : (8, 3) float64 each.
+    first, end : (8,) int32, the faces first <= face < end that each ray passes because it leaves them.
+    target : (8,) int32, a face that hides nothing (-1: none).
+    t, b1, b2, face : (8,) float64, the last int32: the nearest hits, as `Hit` has them.
+    found : (8,) bool, whether anything is hit.
+    shears : (8, 8) float64 scratch.
+    patience : (2, 2) int64, for nearest and for any hits: how many groups more are traced as bundles at once, and how
+        many after the next packet that does not pay.
+    """
+
+    origins: np.ndarray
+    directions: np.ndarray
+    first: np.ndarray
+    end: np.ndarray
+    target: np.ndarray
+    t: np.ndarray
+    b1: np.ndarray
+    b2: np.ndarray
+    face: np.ndarray
+    found: np.ndarray
+    shears: np.ndarray
+    patience: np.ndarray
+
+
+def new_group() -> Group:
+    """Make a group whose rays leave no face and aim at none."""
+    return Group(
+        np.zeros((SIZE, 3)),
+        np.ones((SIZE, 3)),
+        np.full(SIZE, -1, np.int32),
+        np.zeros(SIZE, np.int32),
+        np.full(SIZE, -1, np.int32),
+        np.zeros(SIZE),
+        np.zeros(SIZE),
+        np.zeros(SIZE),
+        np.full(SIZE, -1, np.int32),
+        np.zeros(SIZE, np.bool_),
+        np.zeros((SIZE, 8)),
+        np.array([[0, PATIENCE], [0, PATIENCE]]),
+    )
 
 
 class Packet(NamedTuple):
@@ -109,10 +158,10 @@ class Frustum(NamedTuple):
 
 
 @device
-def make_packet(wide: Wide, origins: np.ndarray, directions: np.ndarray, row: int) -> Packet:
-    """Make a packet of the rays row ... row + 7 of C-contiguous (N, 3), (N, 3) float64 arrays."""
-    o = columns(origins, row)
-    d = columns(directions, row)
+def make_packet(wide: Wide, group: Group) -> Packet:
+    """Make a packet of a group of 8 rays."""
+    o = columns(group.origins, 0)
+    d = columns(group.directions, 0)
     x = magnitude(d[0])
     y = magnitude(d[1])
     z = magnitude(d[2])
@@ -281,15 +330,17 @@ def _triangle(leaves: np.ndarray, leaf: int, lane: int, s: Shear) -> Triangles:
 
 
 @device
-def closest_hits_of_packet(
-    wide: Wide, p: Packet, far: float, t: np.ndarray, face: np.ndarray, row: int, stack: np.ndarray
-) -> bool:
-    """Write t[row : row + 8] and face[row : row + 8] as `closest_hit` gives them; False: gave up, nothing written."""
+def closest_hits_of_packet(wide: Wide, p: Packet, group: Group, far: float, stack: np.ndarray) -> bool:
+    """Write the nearest hits of 8 rays as `closest_hit` gives them; False: gave up, nothing written."""
     boxes = _frustum_of_boxes(wide, p)
     triangles = _frustum_of_triangles(p)
     zero = splat(0.0, 8)
     best_t = splat(far, 8)
     best_face = splat(np.int32(-1), 8)
+    best_b1 = zero
+    best_b2 = zero
+    first = load(group.first, 0, 8)
+    end = load(group.end, 0, 8)
     furthest = highest(best_t * p.speed)
     reach = splat(np.float32(furthest * wide.scale * ROUND_UP), 8)
     work = 0
@@ -323,13 +374,17 @@ def closest_hits_of_packet(
                 hit = _triangle(wide.leaves, leaf, lane, p.shear)
                 if bits(hit.inside) != 0:
                     this = splat(np.int32(face_of(wide.leaves, leaf, lane)), 8)
-                    distance = distances(p.shear, hit, splat(1.0, 8) / hit.det)
+                    scale = splat(1.0, 8) / hit.det
+                    distance = distances(p.shear, hit, scale)
                     better = hit.inside & (distance > zero) & (distance <= best_t)
+                    better = better & ((this < first) | (this >= end))
                     better = better & (
                         (distance < best_t) | (best_face < splat(np.int32(0), 8)) | (this < best_face)
                     )
                     best_t = choose(better, distance, best_t)
                     best_face = choose(better, this, best_face)
+                    best_b1 = choose(better, hit.v * scale, best_b1)
+                    best_b2 = choose(better, hit.w * scale, best_b2)
                     nearer |= bits(better)
             if nearer != 0:
                 furthest = highest(best_t * p.speed)
@@ -343,20 +398,23 @@ def closest_hits_of_packet(
             break
         size -= 1
         node = entry(stack, NODES + size)
-    store(t, row, best_t)
-    store(face, row, best_face)
+    store(group.t, 0, best_t)
+    store(group.face, 0, best_face)
+    store(group.b1, 0, best_b1)
+    store(group.b2, 0, best_b2)
     return True
 
 
 @device
-def any_hits_of_packet(
-    wide: Wide, p: Packet, far: float, found: np.ndarray, row: int, stack: np.ndarray
-) -> bool:
-    """Write found[row : row + 8] as `any_hit` gives it; False: gave up, nothing written."""
+def any_hits_of_packet(wide: Wide, p: Packet, group: Group, far: float, stack: np.ndarray) -> bool:
+    """Write what `any_hit` finds for 8 rays; False: gave up, nothing written."""
     boxes = _frustum_of_boxes(wide, p)
     triangles = _frustum_of_triangles(p)
     zero = splat(0.0, 8)
     limit = splat(far, 8)
+    first = load(group.first, 0, 8)
+    end = load(group.end, 0, 8)
+    target = load(group.target, 0, 8)
     furthest = highest(limit * p.speed)
     reach = splat(np.float32(furthest * wide.scale * ROUND_UP), 8)
     hits = 0
@@ -376,11 +434,14 @@ def any_hits_of_packet(
             lanes = _cut_triangles(wide.leaves, leaf, p, triangles, furthest)
             work += count_bits(lanes)
             while lanes != 0:
-                hit = _triangle(wide.leaves, leaf, lowest_bit(lanes), p.shear)
+                lane = lowest_bit(lanes)
                 lanes &= lanes - 1
+                hit = _triangle(wide.leaves, leaf, lane, p.shear)
                 if bits(hit.inside) != 0:
+                    this = splat(np.int32(face_of(wide.leaves, leaf, lane)), 8)
+                    counts = ((this < first) | (this >= end)) & (this != target)
                     distance = distances(p.shear, hit, splat(1.0, 8) / hit.det)
-                    hits |= bits(hit.inside & (distance > zero) & (distance < limit))
+                    hits |= bits(hit.inside & counts & (distance > zero) & (distance < limit))
             if hits == 255:
                 break
         if size == 0:
@@ -388,7 +449,7 @@ def any_hits_of_packet(
         size -= 1
         node = entry(stack, size)
     for lane in range(SIZE):
-        found[row + lane] = (hits >> lane) & 1 != 0
+        group.found[lane] = (hits >> lane) & 1 != 0
     return True
 
 
@@ -402,9 +463,10 @@ class Bundle(NamedTuple):
 
 
 @device
-def _write_shear(origins: np.ndarray, directions: np.ndarray, row: int, shears: np.ndarray, i: int) -> None:
+def _write_shear(group: Group, i: int) -> None:
     """Keep origin and shear of ray i along its own axes, and these axes: divided for once, where a leaf asks first."""
-    ray = make_ray(vec3(origins, row + i), vec3(directions, row + i))
+    ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+    shears = group.shears
     shears[i, 0] = component(ray.origin, ray.kx)
     shears[i, 1] = component(ray.origin, ray.ky)
     shears[i, 2] = component(ray.origin, ray.kz)
@@ -437,10 +499,10 @@ def _axis(wide: Wide, origin: int, direction: int, center: float, largest: int, 
 
 
 @device
-def make_bundle(wide: Wide, origins: np.ndarray, directions: np.ndarray, row: int, far: float) -> Bundle:
-    """Make a bundle of the rays row ... row + 7, of any directions."""
-    o = columns(origins, row)
-    d = columns(directions, row)
+def make_bundle(wide: Wide, group: Group, far: float) -> Bundle:
+    """Make a bundle of rays of any directions."""
+    o = columns(group.origins, 0)
+    d = columns(group.directions, 0)
     largest = maximum(magnitude(d[0]), maximum(magnitude(d[1]), magnitude(d[2])))
     distance = maximum(
         magnitude(o[0] - splat(wide.center.x, 8)),
@@ -486,24 +548,12 @@ def _slab_alone(nodes: np.ndarray, start: int, b: Bundle, ray: int) -> tuple:
 
 
 @device
-def any_hits_of_bundle(
-    wide: Wide,
-    origins: np.ndarray,
-    directions: np.ndarray,
-    far: float,
-    found: np.ndarray,
-    row: int,
-    stack: np.ndarray,
-    shears: np.ndarray,
-) -> None:
-    """Write found[row : row + 8] as `any_hit` gives it, for rays of any directions.
-
-    `shears` is float64 scratch (8, 8).
-    """
-    bundle = make_bundle(wide, origins, directions, row, far)
+def any_hits_of_bundle(wide: Wide, group: Group, count: int, far: float, stack: np.ndarray) -> None:
+    """Write what `any_hit` finds for the first `count` rays of a group, of any directions."""
+    bundle = make_bundle(wide, group, far)
     written = 0
-    searching = 255
-    active = 255
+    active = (1 << count) - 1
+    searching = active
     size = 0
     node = 0
     while len(wide.nodes) > 0:
@@ -534,14 +584,19 @@ def any_hits_of_bundle(
                 i = lowest_bit(active)
                 active &= active - 1
                 if (written >> i) & 1 == 0:
-                    _write_shear(origins, directions, row, shears, i)
+                    _write_shear(group, i)
                     written |= 1 << i
-                shear = _read_shear(shears, i)
+                shear = _read_shear(group.shears, i)
                 hit = triangles_of(wide.leaves, leaf, shear)
                 if bits(hit.inside) != 0:
                     t = distances(shear, hit, splat(1.0, 8) / hit.det)
-                    if bits(hit.inside & (t > splat(0.0, 8)) & (t < splat(far, 8))) != 0:
-                        searching &= ~(1 << i)
+                    lanes = bits(hit.inside & (t > splat(0.0, 8)) & (t < splat(far, 8)))
+                    while lanes != 0:
+                        this = face_of(wide.leaves, leaf, lowest_bit(lanes))
+                        lanes &= lanes - 1
+                        if (this < group.first[i] or this >= group.end[i]) and this != group.target[i]:
+                            searching &= ~(1 << i)
+                            break
         active = 0
         while size > 0 and active == 0:
             size -= 1
@@ -550,34 +605,23 @@ def any_hits_of_bundle(
             break
         node = entry(stack, NODES + size)
     for lane in range(SIZE):
-        found[row + lane] = (searching >> lane) & 1 == 0
+        group.found[lane] = (searching >> lane) & 1 == 0
 
 
 @device
-def closest_hits_of_bundle(
-    wide: Wide,
-    origins: np.ndarray,
-    directions: np.ndarray,
-    far: float,
-    t: np.ndarray,
-    face: np.ndarray,
-    row: int,
-    stack: np.ndarray,
-    shears: np.ndarray,
-) -> None:
-    """Write t[row : row + 8] and face[row : row + 8] as `closest_hit` gives them, for rays of any directions.
-
-    `shears` is float64 scratch (8, 8).
-    """
-    bundle = make_bundle(wide, origins, directions, row, far)
+def closest_hits_of_bundle(wide: Wide, group: Group, count: int, far: float, stack: np.ndarray) -> None:
+    """Write the nearest hits of the first `count` rays of a group, of any directions, as `closest_hit` gives them."""
+    t = group.t
+    face = group.face
+    bundle = make_bundle(wide, group, far)
     written = 0
-    d = columns(directions, row)
+    d = columns(group.directions, 0)
     largest = maximum(magnitude(d[0]), maximum(magnitude(d[1]), magnitude(d[2])))
     speed = largest * splat(wide.scale * ROUND_UP, 8)
     reach = bundle.reach
-    store(t, row, splat(far, 8))
-    store(face, row, splat(np.int32(-1), 8))
-    active = 255
+    store(t, 0, splat(far, 8))
+    store(face, 0, splat(np.int32(-1), 8))
+    active = (1 << count) - 1
     size = 0
     node = 0
     while len(wide.nodes) > 0:
@@ -630,26 +674,29 @@ def closest_hits_of_bundle(
                 i = lowest_bit(active)
                 active &= active - 1
                 if (written >> i) & 1 == 0:
-                    _write_shear(origins, directions, row, shears, i)
+                    _write_shear(group, i)
                     written |= 1 << i
-                shear = _read_shear(shears, i)
+                shear = _read_shear(group.shears, i)
                 hit = triangles_of(wide.leaves, leaf, shear)
                 if bits(hit.inside) != 0:
-                    distance = distances(shear, hit, splat(1.0, 8) / hit.det)
-                    lanes = bits(hit.inside & (distance > splat(0.0, 8)) & (distance <= splat(t[row + i], 8)))
+                    scale = splat(1.0, 8) / hit.det
+                    distance = distances(shear, hit, scale)
+                    lanes = bits(hit.inside & (distance > splat(0.0, 8)) & (distance <= splat(t[i], 8)))
                     while lanes != 0:
                         lane = lowest_bit(lanes)
                         lanes &= lanes - 1
                         this = extract(distance, lane)
                         other = face_of(wide.leaves, leaf, lane)
-                        if this < t[row + i] or (
-                            this == t[row + i] and (face[row + i] < 0 or other < face[row + i])
+                        if (other < group.first[i] or other >= group.end[i]) and (
+                            this < t[i] or (this == t[i] and (face[i] < 0 or other < face[i]))
                         ):
-                            t[row + i] = this
-                            face[row + i] = other
+                            t[i] = this
+                            face[i] = other
+                            group.b1[i] = extract(hit.v, lane) * extract(scale, lane)
+                            group.b2[i] = extract(hit.w, lane) * extract(scale, lane)
                             changed = True
             if changed:
-                reach = narrow(load(t, row, 8) * speed)
+                reach = narrow(load(t, 0, 8) * speed)
         active = 0
         while size > 0 and active == 0:
             size -= 1

@@ -1,8 +1,7 @@
-"""`closest_hit` and `any_hit` as this machine computes them best, and loops that trace many, in packets if it pays.
+"""`closest_hit` and `any_hit` as this machine computes them best, singly and in groups of 8 rays.
 
 Both descents meet the same face at the same t: the wide tree's, eight boxes or triangles at a time, and the binary
-tree's, the reference, which needs no vectors. Render kernels trace single rays; packets and bundles serve the loops
-over many rays alone, as yet.
+tree's, the reference, which needs no vectors. A group is traced as a packet where that pays, else as a bundle.
 """
 
 import numpy as np
@@ -10,13 +9,28 @@ import numpy as np
 from renderer.geometry import packets, simd, traverse, wide_traverse
 from renderer.geometry.bvh import STACK_SIZE, Tree
 from renderer.geometry.intersect import NOTHING, FaceRange, Hit, Ray, make_ray
+from renderer.geometry.packets import Group
 from renderer.jit import device, kernel
 from renderer.vector import vec3
 
 _VECTORS = simd.available()
-# Groups of 8 rays that are traced as bundles after a packet that did not pay, or was none; twice as many each time.
-_PATIENCE = 4
-_MOST_PATIENCE = 256
+_NEAREST, _ANY = range(2)
+
+
+@device
+def _hopeful(group: Group, kind: int) -> bool:
+    """Whether a packet of this kind is tried: not for a while after one that did not pay."""
+    if group.patience[kind, 0] > 0:
+        group.patience[kind, 0] -= 1
+        return False
+    return True
+
+
+@device
+def _give_up(group: Group, kind: int) -> None:
+    group.patience[kind, 0] = group.patience[kind, 1]
+    group.patience[kind, 1] = min(2 * group.patience[kind, 1], packets.MOST_PATIENCE)
+
 
 if _VECTORS:
 
@@ -40,8 +54,90 @@ if _VECTORS:
         """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far."""
         return wide_traverse.any_hit(tree.wide, ray, far, ignore, target, stack)
 
+    @device
+    def closest_hits_of_group(
+        corners: np.ndarray,
+        tree: Tree,
+        group: Group,
+        count: int,
+        far: float,
+        coherent: bool,
+        stack: np.ndarray,
+    ) -> None:
+        """Write what `closest_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
+        if coherent and count == packets.SIZE and _hopeful(group, _NEAREST):
+            packet = packets.make_packet(tree.wide, group)
+            if packet.coherent and packets.closest_hits_of_packet(tree.wide, packet, group, far, stack):
+                group.patience[_NEAREST, 1] = packets.PATIENCE
+                return
+            _give_up(group, _NEAREST)
+        packets.closest_hits_of_bundle(tree.wide, group, count, far, stack)
+
+    @device
+    def any_hits_of_group(
+        corners: np.ndarray,
+        tree: Tree,
+        group: Group,
+        count: int,
+        far: float,
+        coherent: bool,
+        stack: np.ndarray,
+    ) -> None:
+        """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
+        if coherent and count == packets.SIZE and _hopeful(group, _ANY):
+            packet = packets.make_packet(tree.wide, group)
+            if packet.coherent and packets.any_hits_of_packet(tree.wide, packet, group, far, stack):
+                group.patience[_ANY, 1] = packets.PATIENCE
+                return
+            _give_up(group, _ANY)
+        packets.any_hits_of_bundle(tree.wide, group, count, far, stack)
+
 else:
     closest_hit, any_hit = traverse.closest_hit, traverse.any_hit
+
+    @device
+    def closest_hits_of_group(
+        corners: np.ndarray,
+        tree: Tree,
+        group: Group,
+        count: int,
+        far: float,
+        coherent: bool,
+        stack: np.ndarray,
+    ) -> None:
+        """Write what `closest_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
+        for i in range(count):
+            ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+            ignore = FaceRange(group.first[i], group.end[i])
+            hit = traverse.closest_hit(corners, tree, ray, far, ignore, stack)
+            group.t[i] = hit.t
+            group.face[i] = hit.face
+            group.b1[i] = hit.b1
+            group.b2[i] = hit.b2
+
+    @device
+    def any_hits_of_group(
+        corners: np.ndarray,
+        tree: Tree,
+        group: Group,
+        count: int,
+        far: float,
+        coherent: bool,
+        stack: np.ndarray,
+    ) -> None:
+        """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
+        for i in range(count):
+            ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+            ignore = FaceRange(group.first[i], group.end[i])
+            group.found[i] = traverse.any_hit(corners, tree, ray, far, ignore, group.target[i], stack)
+
+
+@device
+def _load_group(origins: np.ndarray, directions: np.ndarray, row: int, count: int, group: Group) -> None:
+    for i in range(count):
+        for axis in range(3):
+            group.origins[i, axis] = origins[row + i, axis]
+            group.directions[i, axis] = directions[row + i, axis]
 
 
 @kernel
@@ -53,37 +149,17 @@ def closest_hits(
     far: float,
     t: np.ndarray,
     face: np.ndarray,
+    group: Group,
 ) -> None:
     """Distance t (N,) and face (N,) int32 of the nearest hit of rays (N, 3), (N, 3); far and -1 where none is."""
     stack = np.empty(STACK_SIZE, np.int32)
-    shears = np.empty((packets.SIZE, 8))
-    row = 0
-    pause = 0
-    patience = _PATIENCE
-    while row < len(origins):
-        last = min(row + packets.SIZE, len(origins))
-        if _VECTORS and row + packets.SIZE == last:
-            if pause > 0:
-                pause -= 1
-            else:
-                packet = packets.make_packet(tree.wide, origins, directions, row)
-                if packet.coherent and packets.closest_hits_of_packet(
-                    tree.wide, packet, far, t, face, row, stack
-                ):
-                    row = last
-                    patience = _PATIENCE
-                    continue
-                pause = patience
-                patience = min(2 * patience, _MOST_PATIENCE)
-            packets.closest_hits_of_bundle(tree.wide, origins, directions, far, t, face, row, stack, shears)
-            row = last
-            continue
-        for i in range(row, last):
-            ray = make_ray(vec3(origins, i), vec3(directions, i))
-            hit = closest_hit(corners, tree, ray, far, NOTHING, stack)
-            t[i] = hit.t
-            face[i] = hit.face
-        row = last
+    for row in range(0, len(origins), packets.SIZE):
+        count = min(packets.SIZE, len(origins) - row)
+        _load_group(origins, directions, row, count, group)
+        closest_hits_of_group(corners, tree, group, count, far, True, stack)
+        for i in range(count):
+            t[row + i] = group.t[i]
+            face[row + i] = group.face[i]
 
 
 @kernel
@@ -94,33 +170,16 @@ def any_hits(
     directions: np.ndarray,
     far: float,
     found: np.ndarray,
+    group: Group,
 ) -> None:
     """Whether each ray hits anything nearer than `far`: (N,) bool."""
     stack = np.empty(STACK_SIZE, np.int32)
-    shears = np.empty((packets.SIZE, 8))
-    row = 0
-    pause = 0
-    patience = _PATIENCE
-    while row < len(origins):
-        last = min(row + packets.SIZE, len(origins))
-        if _VECTORS and row + packets.SIZE == last:
-            if pause > 0:
-                pause -= 1
-            else:
-                packet = packets.make_packet(tree.wide, origins, directions, row)
-                if packet.coherent and packets.any_hits_of_packet(tree.wide, packet, far, found, row, stack):
-                    row = last
-                    patience = _PATIENCE
-                    continue
-                pause = patience
-                patience = min(2 * patience, _MOST_PATIENCE)
-            packets.any_hits_of_bundle(tree.wide, origins, directions, far, found, row, stack, shears)
-            row = last
-            continue
-        for i in range(row, last):
-            ray = make_ray(vec3(origins, i), vec3(directions, i))
-            found[i] = any_hit(corners, tree, ray, far, NOTHING, -1, stack)
-        row = last
+    for row in range(0, len(origins), packets.SIZE):
+        count = min(packets.SIZE, len(origins) - row)
+        _load_group(origins, directions, row, count, group)
+        any_hits_of_group(corners, tree, group, count, far, True, stack)
+        for i in range(count):
+            found[row + i] = group.found[i]
 
 
 @kernel

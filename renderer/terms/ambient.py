@@ -18,14 +18,15 @@ from typing import Any
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import Tile, accumulate, first_surface
+from renderer.film import Tile, accumulate, darken, sampler_of, see
+from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
 from renderer.photon_map import PhotonMap
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler, sample_2d
-from renderer.surface import Surface, occluded, shadowed
+from renderer.surface import Surface, occlude_group, occluded, put_occlusion_ray, shadowed, surface_of
 from renderer.terms.variant import Chain, Variant
-from renderer.vector import Vec3, frame, is_black, mul, scale, to_world, vec3
+from renderer.vector import Vec3, frame, is_black, mul, put, scale, to_world, vec3
 from renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
 from scenes.limits import Limit
 from scenes.model import Scene
@@ -51,20 +52,31 @@ def sample_hemisphere(rule: int, rings: int, u: float, v: float) -> tuple[Vec3, 
 
 
 @device
+def sample_ambient(
+    scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler
+) -> tuple[Vec3, Vec3, bool]:
+    """Ambient radiance of a surface by one direction, were that open; the direction; and whether it may be hidden.
+
+    `dark`: shadowed by the paper's rule.
+    """
+    share = scene.materials.color if dark else scene.materials.diffuse
+    radiance = mul(vec3(share, surface.object), scene.ambient)
+    if is_black(radiance) or scene.ambient_range == 0.0 or rule == CONSTANT:
+        return radiance, surface.normal, False
+    u, v = sample_2d(sampler, OCCLUSION)
+    local, weight = sample_hemisphere(rule, scene.rings, u, v)
+    return scale(radiance, weight), to_world(frame(surface.normal), local), True
+
+
+@device
 def ambient_radiance(
     scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler, scratch: Scratch
 ) -> Vec3:
     """Ambient radiance of a surface by one occlusion ray, drawn by `rule`; `dark`: shadowed by the paper's rule."""
-    share = scene.materials.color if dark else scene.materials.diffuse
-    radiance = mul(vec3(share, surface.object), scene.ambient)
-    if is_black(radiance) or scene.ambient_range == 0.0 or rule == CONSTANT:
-        return radiance
-    u, v = sample_2d(sampler, OCCLUSION)
-    local, weight = sample_hemisphere(rule, scene.rings, u, v)
-    direction = to_world(frame(surface.normal), local)
-    if occluded(scene, surface, direction, scene.ambient_range, -1, scratch):
+    radiance, direction, asks = sample_ambient(scene, rule, surface, dark, sampler)
+    if asks and occluded(scene, surface, direction, scene.ambient_range, -1, scratch):
         return Vec3(0.0, 0.0, 0.0)
-    return scale(radiance, weight)
+    return radiance
 
 
 @kernel
@@ -80,11 +92,26 @@ def _occlusion(
 ) -> None:
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
-            for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, scratch)
-                if surface.face >= 0:
-                    dark = shadowed(scene, surface, scratch)
-                    accumulate(out, x, y, ambient_radiance(scene, rule, surface, dark, sampler, scratch))
+            for start in range(first, last, SIZE):
+                count = min(SIZE, last - start)
+                see(scene, key, x, y, start, count, first, scratch)
+                asking = 0
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    radiance = Vec3(0.0, 0.0, 0.0)
+                    if surface.face >= 0:
+                        dark = shadowed(scene, surface, scratch)
+                        sampler = sampler_of(scene, key, x, y, start + i)
+                        radiance, direction, asks = sample_ambient(scene, rule, surface, dark, sampler)
+                        if asks:
+                            put_occlusion_ray(scene, scratch.rays, asking, surface, direction, -1)
+                            scratch.lane[asking] = i
+                            asking += 1
+                    put(scratch.radiance, i, radiance)
+                occlude_group(scene, scratch.rays, asking, scene.ambient_range, False, scratch)
+                darken(scratch, asking)
+                for i in range(count):
+                    accumulate(out, x, y, vec3(scratch.radiance, i))
 
 
 def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

@@ -6,14 +6,12 @@ The paper draws no lights. An emitter shows the radiance of its front side; its 
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.camera import camera_ray
-from renderer.film import Tile, accumulate
+from renderer.film import Tile, accumulate, see
+from renderer.geometry.packets import SIZE
 from renderer.jit import kernel
-from renderer.rng import fold
 from renderer.scratch import Scratch
 from renderer.sky import sky_radiance
-from renderer.sobol import Sampler
-from renderer.surface import trace
+from renderer.surface import surface_of
 from renderer.terms.variant import Variant
 from renderer.vector import vec3
 from scenes.limits import Limit
@@ -25,14 +23,17 @@ def _seen(
 ) -> None:
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
-            for index in range(first, last):
-                sampler = Sampler(fold(key, y * scene.camera.width + x), np.uint32(index))
-                ray = camera_ray(scene.camera, x, y, sampler)
-                surface = trace(scene, ray, -1, scratch)
-                if surface.face < 0:
-                    accumulate(out, x, y, sky_radiance(scene.sky, ray.origin, ray.direction))
-                elif scene.draw_lights and surface.side > 0.0:
-                    accumulate(out, x, y, vec3(scene.materials.emission, surface.object))
+            for start in range(first, last, SIZE):
+                count = min(SIZE, last - start)
+                see(scene, key, x, y, start, count, first, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    if surface.face < 0:
+                        origin = vec3(scratch.sights.origins, i)
+                        direction = vec3(scratch.sights.directions, i)
+                        accumulate(out, x, y, sky_radiance(scene.sky, origin, direction))
+                    elif scene.draw_lights and surface.side > 0.0:
+                        accumulate(out, x, y, vec3(scene.materials.emission, surface.object))
 
 
 VARIANTS = (

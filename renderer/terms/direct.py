@@ -10,19 +10,20 @@ from typing import Literal
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import Tile, accumulate, first_surface
+from renderer.film import Tile, accumulate, darken, sampler_of, see
 from renderer.geometry.intersect import make_ray
+from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
-from renderer.lights import light_irradiance
+from renderer.lights import light_irradiance, sample_light
 from renderer.photon_map import PhotonMap, estimate_irradiance
 from renderer.photon_search import nearest_irradiance
 from renderer.photon_tracing import MAX_SURVIVAL
 from renderer.rng import fold
 from renderer.scratch import DENSITY_ESTIMATES, Scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
-from renderer.surface import Surface, shadowed, trace
+from renderer.surface import Surface, occlude_group, put_occlusion_ray, shadowed, surface_of, trace
 from renderer.terms.variant import Variant
-from renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, scale, to_world, vec3
+from renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, put, scale, to_world, vec3
 from renderer.warp import INV_PI, square_to_cosine_hemisphere
 from scenes import limits
 from scenes.limits import Kernel, Limit
@@ -46,6 +47,15 @@ def direct_next_event(
     if is_black(weight):
         return weight
     straight = light_irradiance(scene, surface, sampler, LIGHT, scratch)
+    return _reflected(scene, photons, surface, straight, scratch)
+
+
+@device
+def _reflected(
+    scene: SceneArrays, photons: PhotonMap, surface: Surface, straight: Vec3, scratch: Scratch
+) -> Vec3:
+    """Radiance by E / pi that arrives straight, and by E that photons estimate."""
+    weight = vec3(scene.materials.diffuse, surface.object)
     scattered = estimate_irradiance(scene, photons, surface, scratch)
     return scale(mul(weight, mad(scattered, INV_PI, straight)), scene.irradiance_factor)
 
@@ -108,10 +118,34 @@ def _next_event(
 ) -> None:
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
-            for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, scratch)
-                if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                    accumulate(out, x, y, direct_next_event(scene, photons, surface, sampler, scratch))
+            for start in range(first, last, SIZE):
+                count = min(SIZE, last - start)
+                see(scene, key, x, y, start, count, first, scratch)
+                lit = 0
+                asking = 0
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    if (
+                        surface.face < 0
+                        or is_black(vec3(scene.materials.diffuse, surface.object))
+                        or shadowed(scene, surface, scratch)
+                    ):
+                        continue
+                    lit |= 1 << i
+                    sampler = sampler_of(scene, key, x, y, start + i)
+                    straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
+                    put(scratch.radiance, i, straight)
+                    if not is_black(straight):
+                        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
+                        scratch.lane[asking] = i
+                        asking += 1
+                occlude_group(scene, scratch.rays, asking, 1.0, True, scratch)
+                darken(scratch, asking)
+                for i in range(count):
+                    if (lit >> i) & 1 != 0:
+                        surface = surface_of(scene, scratch.sights, i)
+                        straight = vec3(scratch.radiance, i)
+                        accumulate(out, x, y, _reflected(scene, photons, surface, straight, scratch))
 
 
 @kernel
@@ -120,10 +154,14 @@ def _path(
 ) -> None:
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
-            for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, scratch)
-                if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                    accumulate(out, x, y, direct_path(scene, surface, sampler, scratch))
+            for start in range(first, last, SIZE):
+                count = min(SIZE, last - start)
+                see(scene, key, x, y, start, count, first, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                        sampler = sampler_of(scene, key, x, y, start + i)
+                        accumulate(out, x, y, direct_path(scene, surface, sampler, scratch))
 
 
 @kernel
@@ -139,15 +177,18 @@ def _photon_map(
 ) -> None:
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
-            for index in range(first, last):
-                surface, _ = first_surface(scene, key, x, y, index, scratch)
-                if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                    weight = vec3(scene.materials.diffuse, surface.object)
-                    if not is_black(weight):
-                        irradiance = estimate_irradiance(scene, photons, surface, scratch)
-                        accumulate(
-                            out, x, y, scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
-                        )
+            for start in range(first, last, SIZE):
+                count = min(SIZE, last - start)
+                see(scene, key, x, y, start, count, first, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                        weight = vec3(scene.materials.diffuse, surface.object)
+                        if not is_black(weight):
+                            irradiance = estimate_irradiance(scene, photons, surface, scratch)
+                            accumulate(
+                                out, x, y, scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
+                            )
 
 
 @kernel
@@ -167,11 +208,14 @@ def _nearest(
     chosen = np.empty(nearest, np.int64)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
-            for index in range(first, last):
-                surface, _ = first_surface(scene, key, x, y, index, scratch)
-                if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                    radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
-                    accumulate(out, x, y, radiance)
+            for start in range(first, last, SIZE):
+                count = min(SIZE, last - start)
+                see(scene, key, x, y, start, count, first, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                        radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
+                        accumulate(out, x, y, radiance)
 
 
 def _limit(scene: Scene, samples: int) -> Limit:

@@ -24,8 +24,9 @@ from typing import Any
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import Tile, accumulate, first_surface
+from renderer.film import Tile, accumulate, sampler_of, see
 from renderer.geometry.intersect import make_ray
+from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
 from renderer.microfacet import eval_dfg, sample_lobe
 from renderer.photon_map import PhotonMap
@@ -33,7 +34,7 @@ from renderer.rng import fold
 from renderer.scratch import Scratch
 from renderer.sky import sky_radiance
 from renderer.sobol import Sampler, sample_1d, sample_2d
-from renderer.surface import Surface, shadowed, trace
+from renderer.surface import Surface, shadowed, surface_of, trace
 from renderer.terms.ambient import COSINE, ambient_radiance
 from renderer.terms.ambient import PAPER as PAPER_AMBIENT
 from renderer.terms.direct import direct_nearest, direct_next_event, direct_path
@@ -136,40 +137,46 @@ def _chain(
     chosen = np.empty(nearest, np.int64)
     for y in range(tile.y0, tile.y1):
         for x in range(tile.x0, tile.x1):
-            for index in range(first, last):
-                surface, sampler = first_surface(scene, key, x, y, index, scratch)
-                throughput = Vec3(1.0, 1.0, 1.0)
-                bounce = 0
-                while surface.face >= 0 and bounce < scene.max_bounces:
-                    bounce += 1
-                    material = surface.object
-                    gloss = scene.materials.specular[material]
-                    if gloss == 0.0 or shadowed(scene, surface, scratch):
-                        break
-                    local = frame(surface.normal)
-                    wo = to_local(local, surface.wo)
-                    u, v = sample_2d(sampler, LOBE)
-                    f0 = vec3(scene.materials.f0, material)
-                    wi, weight = sample_variant(
-                        lobe, scene.rings, wo, scene.materials.alpha[material], f0, u, v
-                    )
-                    throughput = scale(mul(throughput, weight), gloss)
-                    if is_black(throughput):
-                        break
-                    survival = min(1.0, max_component(throughput) / FAINT)
-                    if survival < 1.0:
-                        if sample_1d(sampler, ROULETTE) >= survival:
+            for start in range(first, last, SIZE):
+                count = min(SIZE, last - start)
+                see(scene, key, x, y, start, count, first, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    sampler = sampler_of(scene, key, x, y, start + i)
+                    throughput = Vec3(1.0, 1.0, 1.0)
+                    bounce = 0
+                    while surface.face >= 0 and bounce < scene.max_bounces:
+                        bounce += 1
+                        material = surface.object
+                        gloss = scene.materials.specular[material]
+                        if gloss == 0.0 or shadowed(scene, surface, scratch):
                             break
-                        throughput = scale(throughput, 1.0 / survival)
-                    direction = to_world(local, wi)
-                    origin = surface.point
-                    surface = trace(scene, make_ray(origin, direction), surface.face, scratch)
-                    sampler = Sampler(fold(sampler.key, _CHAIN), sampler.index)
-                    if surface.face < 0:
-                        radiance = sky_radiance(scene.sky, origin, direction)
-                    else:
-                        radiance = _diffuse(scene, direct, photons, heap, chosen, surface, sampler, scratch)
-                    accumulate(out, x, y, mul(throughput, radiance))
+                        local = frame(surface.normal)
+                        wo = to_local(local, surface.wo)
+                        u, v = sample_2d(sampler, LOBE)
+                        f0 = vec3(scene.materials.f0, material)
+                        wi, weight = sample_variant(
+                            lobe, scene.rings, wo, scene.materials.alpha[material], f0, u, v
+                        )
+                        throughput = scale(mul(throughput, weight), gloss)
+                        if is_black(throughput):
+                            break
+                        survival = min(1.0, max_component(throughput) / FAINT)
+                        if survival < 1.0:
+                            if sample_1d(sampler, ROULETTE) >= survival:
+                                break
+                            throughput = scale(throughput, 1.0 / survival)
+                        direction = to_world(local, wi)
+                        origin = surface.point
+                        surface = trace(scene, make_ray(origin, direction), surface.face, scratch)
+                        sampler = Sampler(fold(sampler.key, _CHAIN), sampler.index)
+                        if surface.face < 0:
+                            radiance = sky_radiance(scene.sky, origin, direction)
+                        else:
+                            radiance = _diffuse(
+                                scene, direct, photons, heap, chosen, surface, sampler, scratch
+                            )
+                        accumulate(out, x, y, mul(throughput, radiance))
 
 
 def _inputs(lobe: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

@@ -98,6 +98,8 @@ def test_a_study_by_path(tmp_path: Path):
         (VALID + "seed = true", ["seed = True", "an integer"]),
         (VALID + "photons = 0", ["photons = 0", "[1, "]),
         (VALID + "photons = -5", ["photons = -5", "[1, "]),
+        (VALID + "photons_of = { monkey = 0 }", ["photons_of.monkey = 0", "[1, "]),
+        (VALID + "photons_of = { mokney = 9 }", ["photons_of.mokney = 9", "allowed are", "monkey"]),
         (VALID + "[samples]\ndirect = 0", ["samples.direct = 0", "at least 1"]),
         (VALID + "[samples]\nglow = 4", ["samples.glow = 4", "unknown key", "ambient"]),
         (VALID + '[samples]\n"direct.glow" = 4', ["samples.direct.glow = 4", "unknown key", "direct.path"]),
@@ -142,6 +144,9 @@ def test_a_scene_keeps_fewer_photons_than_the_study_grants():
     frugal = attrs.evolve(lavish, photons=10)
     assert scene.photons.count < 10**9
     assert subjects.scenes_of(frugal, ("monkey",))[0].photons.count == 10
+    named = attrs.evolve(frugal, photons_of={"monkey": 10**8})
+    assert subjects.scenes_of(named, ("monkey",))[0].photons.count == 10**8
+    assert subjects.scenes_of(named, ("two_cubes",))[0].photons.count == 10
 
 
 def test_the_same_scene_twice_is_refused():

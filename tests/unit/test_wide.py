@@ -14,6 +14,7 @@ import trimesh
 from renderer.geometry import bvh, simd, wide
 from renderer.geometry.bvh import STACK_SIZE, Tree
 from renderer.geometry.intersect import NOTHING, make_ray
+from renderer.geometry.packets import new_group
 from renderer.geometry.rays import any_hit, any_hits, closest_hit, closest_hits, reference_hits
 from renderer.vector import Vec3
 
@@ -30,8 +31,8 @@ def fast(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.nd
         np.empty(len(origins), np.int32),
         np.empty(len(origins), np.bool_),
     )
-    closest_hits(corners, tree, origins, directions, far, t, face)
-    any_hits(corners, tree, origins, directions, far, found)
+    closest_hits(corners, tree, origins, directions, far, t, face, new_group())
+    any_hits(corners, tree, origins, directions, far, found, new_group())
     return t, face, found
 
 
