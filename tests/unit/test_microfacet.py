@@ -13,6 +13,7 @@ import pytest
 from scipy import integrate, special
 
 from renderer.microfacet import (
+    _visible_slope,
     beckmann_d,
     eval_dfg,
     eval_lobe,
@@ -330,3 +331,17 @@ def test_slope_along_the_view_has_the_visible_distribution(alpha, mu_o, compiled
         m = sample_visible_normal(wo, alpha, u, 0.5)
         slope = -m.x / m.z / alpha
         assert integrate.quad(density, -8, slope, epsabs=1e-13)[0] / norm == pytest.approx(u, abs=1e-7)
+
+
+def test_slope_is_inverted_to_rounding_up_to_grazing(compiled):
+    """cdf(slope(u)) = u by SciPy's erf, from a view along the normal to 1e-12 from grazing, in both tails of u."""
+    rng = np.random.default_rng(3)
+    count = 400 if compiled else 30
+    grazing = math.pi / 2 - 10 ** rng.uniform(-12, -1, count)
+    angles = np.concatenate([rng.uniform(0, math.pi / 2, count), grazing, 10 ** rng.uniform(-9, -1, count)])
+    u = np.concatenate([rng.random(8), 10 ** rng.uniform(-9, -2, 4), 1 - 10 ** rng.uniform(-9, -2, 4)])
+    for angle in angles.tolist():
+        tan = math.tan(angle)
+        slope = np.array([_visible_slope(1 / tan, tan, math.tan(angle / 2), v) for v in u.tolist()])
+        mass = lambda x, tan=tan: 1 + special.erf(x) + tan * np.exp(-x * x) / math.sqrt(math.pi)  # noqa: E731
+        np.testing.assert_allclose(mass(slope) / mass(1 / tan), u, rtol=0, atol=2e-11)

@@ -3,11 +3,14 @@
 The chi² tests of the same samplers against their densities are in tests/oracle/test_chi2.py.
 """
 
+import math
+
 import numpy as np
 import pytest
 
 from renderer.warp import (
     hemisphere_ring,
+    sin_cos_turn,
     square_to_cosine_hemisphere,
     square_to_cosine_hemisphere_pdf,
     square_to_triangle,
@@ -82,3 +85,11 @@ def test_triangle_points_are_inside_and_uniform(square):
     # E[b1²] = 1/6, E[b1 b2] = 1/12.
     assert np.mean(b[:, 0] ** 2) == pytest.approx(1 / 6, abs=2e-3)
     assert np.mean(b[:, 0] * b[:, 1]) == pytest.approx(1 / 12, abs=2e-3)
+
+
+def test_sine_and_cosine_of_turns():
+    for v in np.linspace(0.0, 1.0, 4001).tolist():
+        sin, cos = sin_cos_turn(v)
+        # 2 pi v in double precision is off by up to 2^-51 itself.
+        assert sin == pytest.approx(math.sin(2 * math.pi * v), abs=2.0**-50)
+        assert cos == pytest.approx(math.cos(2 * math.pi * v), abs=2.0**-50)
