@@ -1,5 +1,6 @@
 """What all drivers share: the sample's ray into the scene, and the sum of its radiance into the image."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from renderer.jit import device, kernel
 from renderer.rng import fold
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler
-from renderer.surface import put_ray, trace, trace_group
+from renderer.surface import closest, hit_of, put_hit, put_ray, trace, trace_group
 from renderer.vector import Vec3, length, put, sub, vec3
 
 
@@ -25,40 +26,64 @@ class Tile(NamedTuple):
 
 
 @device
-def sampler_of(scene: SceneArrays, key: np.uint64, x: int, y: int, index: int) -> Sampler:
-    """Randomness of sample `index` of a pixel."""
-    return Sampler(fold(key, y * scene.camera.width + x), np.uint32(index))
+def sampler_of(scene: SceneArrays, key: np.uint64, y: int, i: int, scratch: Scratch) -> Sampler:
+    """Randomness of sight i of row y."""
+    return Sampler(fold(key, y * scene.camera.width + scratch.x[i]), np.uint32(scratch.index[i]))
+
+
+@device
+def samples_of_row(tile: Tile, first: int, last: int) -> int:
+    """Number of samples [first, last) of all pixels of a row of a tile."""
+    return (tile.x1 - tile.x0) * (last - first)
 
 
 @device
 def see(
-    scene: SceneArrays, key: np.uint64, x: int, y: int, start: int, count: int, first: int, scratch: Scratch
-) -> None:
-    """Trace `scratch.sights`: what the samples start ... start + count - 1 of a pixel see, `first` being its first.
+    scene: SceneArrays,
+    key: np.uint64,
+    tile: Tile,
+    y: int,
+    start: int,
+    first: int,
+    last: int,
+    scratch: Scratch,
+) -> int:
+    """Trace `scratch.sights`, the next 8 of a row's samples from `start` on, pixel by pixel; returns how many.
 
-    Rays through one point of the pixel are one ray: it is traced for the first sample alone.
+    Samples of one pixel, or of a few beside each other, go the same way: they make a packet. Rays through one point of
+    their pixel are one ray, traced for its first sample alone.
     """
     sights = scratch.sights
+    samples = last - first
+    count = min(SIZE, samples_of_row(tile, first, last) - start)
+    x = tile.x0 + start // samples
+    index = first + start % samples
+    for i in range(count):
+        if index == last:
+            x += 1
+            index = first
+        scratch.x[i] = x
+        scratch.index[i] = index
+        if scene.camera.rule == JITTER or index == first:
+            ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, y, i, scratch))
+            put_ray(sights, i, ray.origin, ray.direction)
+            if scene.camera.rule != JITTER:
+                put_hit(sights, i, closest(scene, ray, math.inf, -1, scratch))
+        else:
+            # Before sight 0 comes the last one of the 8 before.
+            before = (i - 1) % SIZE
+            put_ray(sights, i, vec3(sights.origins, before), vec3(sights.directions, before))
+            put_hit(sights, i, hit_of(sights, before))
+        index += 1
     if scene.camera.rule == JITTER:
-        for i in range(count):
-            ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, x, y, start + i))
-            put_ray(sights, i, ray.origin, ray.direction)
         trace_group(scene, sights, count, scratch)
-    elif start == first:
-        ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, x, y, start))
-        for i in range(SIZE):
-            put_ray(sights, i, ray.origin, ray.direction)
-        trace_group(scene, sights, 1, scratch)
-        for i in range(1, SIZE):
-            sights.t[i] = sights.t[0]
-            sights.face[i] = sights.face[0]
-            sights.b1[i] = sights.b1[0]
-            sights.b2[i] = sights.b2[0]
+    return count
 
 
 @device
-def accumulate(out: np.ndarray, x: int, y: int, radiance: Vec3) -> None:
-    """Add to a pixel of (H, W, 3) float64."""
+def accumulate(out: np.ndarray, scratch: Scratch, y: int, i: int, radiance: Vec3) -> None:
+    """Add the radiance of sight i of row y to its pixel of (H, W, 3) float64."""
+    x = scratch.x[i]
     out[y, x, 0] += radiance.x
     out[y, x, 1] += radiance.y
     out[y, x, 2] += radiance.z

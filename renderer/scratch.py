@@ -23,6 +23,7 @@ class Scratch(NamedTuple):
     stack : int32, STACK_SIZE.
     counts : int64, one of each of COUNTERS, only ever added to.
     sights : the rays through a pixel and what they see.
+    x, index : (8,) int64 each, the pixel's column and the sample's number of each sight.
     rays : the occlusion rays that leave what is seen; `lane` (8,) int64 is the sight of each.
     radiance : (8, 3) float64, of each sight.
     """
@@ -30,6 +31,8 @@ class Scratch(NamedTuple):
     stack: np.ndarray
     counts: np.ndarray
     sights: Group
+    x: np.ndarray
+    index: np.ndarray
     rays: Group
     lane: np.ndarray
     radiance: np.ndarray
@@ -41,6 +44,8 @@ def new_scratch() -> Scratch:
         np.empty(STACK_SIZE, np.int32),
         np.zeros(len(COUNTERS), np.int64),
         new_group(),
+        np.zeros(SIZE, np.int64),
+        np.zeros(SIZE, np.int64),
         new_group(),
         np.zeros(SIZE, np.int64),
         np.zeros((SIZE, 3)),

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from renderer.arrays import Geometry, SceneArrays
 from renderer.geometry import paper, rays
 from renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
-from renderer.geometry.packets import Group
+from renderer.geometry.packets import Group, hit_of, put_hit
 from renderer.jit import device
 from renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
 from renderer.vector import Vec3, dot, entry, negate, normalize, put, sub, vec3
@@ -69,7 +69,7 @@ def _leaving(scene: SceneArrays, face: int) -> FaceRange:
 
 
 @device
-def _closest(scene: SceneArrays, ray: Ray, far: float, face: int, scratch: Scratch) -> Hit:
+def closest(scene: SceneArrays, ray: Ray, far: float, face: int, scratch: Scratch) -> Hit:
     """Nearest hit of a ray that leaves a face (-1: none)."""
     geometry = scene.geometry
     scratch.counts[RAYS] += 1
@@ -82,7 +82,7 @@ def _closest(scene: SceneArrays, ray: Ray, far: float, face: int, scratch: Scrat
 @device
 def trace(scene: SceneArrays, ray: Ray, leaving: int, scratch: Scratch) -> Surface:
     """Nearest surface along a ray of unit direction, `leaving` being the face that it leaves (-1: none)."""
-    return _surface(scene, _closest(scene, ray, math.inf, leaving, scratch), ray.origin, ray.direction)
+    return _surface(scene, closest(scene, ray, math.inf, leaving, scratch), ray.origin, ray.direction)
 
 
 @device
@@ -109,7 +109,7 @@ def shadowed(scene: SceneArrays, surface: Surface, scratch: Scratch) -> bool:
         leaving = surface.face
         while True:
             ray = make_ray(origin, sub(vec3(rule.centre, light), origin))
-            hit = _closest(scene, ray, 1.0, leaving, scratch)
+            hit = closest(scene, ray, 1.0, leaving, scratch)
             if hit.face < 0 or hit.t >= 1.0:
                 return False
             if geometry.object[hit.face] != rule.object[light]:
@@ -168,18 +168,14 @@ def trace_group(scene: SceneArrays, group: Group, count: int, scratch: Scratch) 
         return
     for i in range(count):
         ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
-        hit = paper.closest_hit(geometry.corners, ray, math.inf, FaceRange(group.first[i], group.end[i]))
-        group.t[i] = hit.t
-        group.face[i] = hit.face
-        group.b1[i] = hit.b1
-        group.b2[i] = hit.b2
+        ignore = FaceRange(group.first[i], group.end[i])
+        put_hit(group, i, paper.closest_hit(geometry.corners, ray, math.inf, ignore))
 
 
 @device
 def surface_of(scene: SceneArrays, group: Group, i: int) -> Surface:
     """What ray i of a group has met."""
-    hit = Hit(group.t[i], entry(group.face, i), group.b1[i], group.b2[i])
-    return _surface(scene, hit, vec3(group.origins, i), vec3(group.directions, i))
+    return _surface(scene, hit_of(group, i), vec3(group.origins, i), vec3(group.directions, i))
 
 
 @device

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.geometry.intersect import component, make_ray
+from renderer.geometry.intersect import Hit, component, make_ray
 from renderer.geometry.simd import (
     as_int,
     bits,
@@ -116,6 +116,21 @@ def new_group() -> Group:
         np.zeros((SIZE, 8)),
         np.array([[0, PATIENCE], [0, PATIENCE]]),
     )
+
+
+@device
+def hit_of(group: Group, i: int) -> Hit:
+    """What ray i of a group has met."""
+    return Hit(group.t[i], entry(group.face, i), group.b1[i], group.b2[i])
+
+
+@device
+def put_hit(group: Group, i: int, hit: Hit) -> None:
+    """Write what ray i of a group has met."""
+    group.t[i] = hit.t
+    group.face[i] = hit.face
+    group.b1[i] = hit.b1
+    group.b2[i] = hit.b2
 
 
 class Packet(NamedTuple):

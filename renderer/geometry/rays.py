@@ -9,7 +9,7 @@ import numpy as np
 from renderer.geometry import packets, simd, traverse, wide_traverse
 from renderer.geometry.bvh import STACK_SIZE, Tree
 from renderer.geometry.intersect import NOTHING, FaceRange, Hit, Ray, make_ray
-from renderer.geometry.packets import Group
+from renderer.geometry.packets import Group, put_hit
 from renderer.jit import device, kernel
 from renderer.vector import vec3
 
@@ -109,11 +109,7 @@ else:
         for i in range(count):
             ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
             ignore = FaceRange(group.first[i], group.end[i])
-            hit = traverse.closest_hit(corners, tree, ray, far, ignore, stack)
-            group.t[i] = hit.t
-            group.face[i] = hit.face
-            group.b1[i] = hit.b1
-            group.b2[i] = hit.b2
+            put_hit(group, i, traverse.closest_hit(corners, tree, ray, far, ignore, stack))
 
     @device
     def any_hits_of_group(

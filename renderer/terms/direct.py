@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import Tile, accumulate, darken, sampler_of, see
+from renderer.film import Tile, accumulate, darken, sampler_of, samples_of_row, see
 from renderer.geometry.intersect import make_ray
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
@@ -117,35 +117,33 @@ def _next_event(
     scratch: Scratch,
 ) -> None:
     for y in range(tile.y0, tile.y1):
-        for x in range(tile.x0, tile.x1):
-            for start in range(first, last, SIZE):
-                count = min(SIZE, last - start)
-                see(scene, key, x, y, start, count, first, scratch)
-                lit = 0
-                asking = 0
-                for i in range(count):
+        for start in range(0, samples_of_row(tile, first, last), SIZE):
+            count = see(scene, key, tile, y, start, first, last, scratch)
+            lit = 0
+            asking = 0
+            for i in range(count):
+                surface = surface_of(scene, scratch.sights, i)
+                if (
+                    surface.face < 0
+                    or is_black(vec3(scene.materials.diffuse, surface.object))
+                    or shadowed(scene, surface, scratch)
+                ):
+                    continue
+                lit |= 1 << i
+                sampler = sampler_of(scene, key, y, i, scratch)
+                straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
+                put(scratch.radiance, i, straight)
+                if not is_black(straight):
+                    put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
+                    scratch.lane[asking] = i
+                    asking += 1
+            occlude_group(scene, scratch.rays, asking, 1.0, True, scratch)
+            darken(scratch, asking)
+            for i in range(count):
+                if (lit >> i) & 1 != 0:
                     surface = surface_of(scene, scratch.sights, i)
-                    if (
-                        surface.face < 0
-                        or is_black(vec3(scene.materials.diffuse, surface.object))
-                        or shadowed(scene, surface, scratch)
-                    ):
-                        continue
-                    lit |= 1 << i
-                    sampler = sampler_of(scene, key, x, y, start + i)
-                    straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
-                    put(scratch.radiance, i, straight)
-                    if not is_black(straight):
-                        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
-                        scratch.lane[asking] = i
-                        asking += 1
-                occlude_group(scene, scratch.rays, asking, 1.0, True, scratch)
-                darken(scratch, asking)
-                for i in range(count):
-                    if (lit >> i) & 1 != 0:
-                        surface = surface_of(scene, scratch.sights, i)
-                        straight = vec3(scratch.radiance, i)
-                        accumulate(out, x, y, _reflected(scene, photons, surface, straight, scratch))
+                    straight = vec3(scratch.radiance, i)
+                    accumulate(out, scratch, y, i, _reflected(scene, photons, surface, straight, scratch))
 
 
 @kernel
@@ -153,15 +151,13 @@ def _path(
     scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray, scratch: Scratch
 ) -> None:
     for y in range(tile.y0, tile.y1):
-        for x in range(tile.x0, tile.x1):
-            for start in range(first, last, SIZE):
-                count = min(SIZE, last - start)
-                see(scene, key, x, y, start, count, first, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        sampler = sampler_of(scene, key, x, y, start + i)
-                        accumulate(out, x, y, direct_path(scene, surface, sampler, scratch))
+        for start in range(0, samples_of_row(tile, first, last), SIZE):
+            count = see(scene, key, tile, y, start, first, last, scratch)
+            for i in range(count):
+                surface = surface_of(scene, scratch.sights, i)
+                if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                    sampler = sampler_of(scene, key, y, i, scratch)
+                    accumulate(out, scratch, y, i, direct_path(scene, surface, sampler, scratch))
 
 
 @kernel
@@ -176,19 +172,21 @@ def _photon_map(
     scratch: Scratch,
 ) -> None:
     for y in range(tile.y0, tile.y1):
-        for x in range(tile.x0, tile.x1):
-            for start in range(first, last, SIZE):
-                count = min(SIZE, last - start)
-                see(scene, key, x, y, start, count, first, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        weight = vec3(scene.materials.diffuse, surface.object)
-                        if not is_black(weight):
-                            irradiance = estimate_irradiance(scene, photons, surface, scratch)
-                            accumulate(
-                                out, x, y, scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
-                            )
+        for start in range(0, samples_of_row(tile, first, last), SIZE):
+            count = see(scene, key, tile, y, start, first, last, scratch)
+            for i in range(count):
+                surface = surface_of(scene, scratch.sights, i)
+                if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                    weight = vec3(scene.materials.diffuse, surface.object)
+                    if not is_black(weight):
+                        irradiance = estimate_irradiance(scene, photons, surface, scratch)
+                        accumulate(
+                            out,
+                            scratch,
+                            y,
+                            i,
+                            scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor),
+                        )
 
 
 @kernel
@@ -207,15 +205,13 @@ def _nearest(
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
     for y in range(tile.y0, tile.y1):
-        for x in range(tile.x0, tile.x1):
-            for start in range(first, last, SIZE):
-                count = min(SIZE, last - start)
-                see(scene, key, x, y, start, count, first, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
-                        accumulate(out, x, y, radiance)
+        for start in range(0, samples_of_row(tile, first, last), SIZE):
+            count = see(scene, key, tile, y, start, first, last, scratch)
+            for i in range(count):
+                surface = surface_of(scene, scratch.sights, i)
+                if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                    radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
+                    accumulate(out, scratch, y, i, radiance)
 
 
 def _limit(scene: Scene, samples: int) -> Limit:
