@@ -11,6 +11,7 @@ SIGGRAPH 1990.
 """
 
 import math
+from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ from renderer.lights import pick
 from renderer.microfacet import sample_lobe
 from renderer.photon_map import PhotonMap, build
 from renderer.rng import fold, stream
-from renderer.scratch import PHOTONS, Scratch, new_scratch
+from renderer.scratch import PHOTONS, Scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, point_on_face, trace
 from renderer.vector import (
@@ -201,7 +202,7 @@ def emit(
     rule: Scattering,
     first_hits: bool,
     pool: Executor,
-    counts: np.ndarray,
+    scratch: Callable[[], Scratch],
 ) -> PhotonMap:
     """Trace pass `index` of a replicate and build its map.
 
@@ -213,7 +214,7 @@ def emit(
     rule : how photons go on.
     first_hits : whether photons that come straight from a light are stored.
     pool : the chunks run here; their order, hence the map, does not depend on the number of threads.
-    counts : the work done is added here, see `renderer.scratch`.
+    scratch : gives the calling thread its memory.
     """
     photons_key = stream(stream(key, _STREAM), index)
 
@@ -223,16 +224,13 @@ def emit(
         while True:
             position, direction, power = np.empty((3, capacity, 3))
             face = np.empty(capacity, np.int32)
-            scratch = new_scratch()
             landed = _trace_photons(
-                scene, rule, first_hits, photons_key, first, last, position, direction, power, face, scratch
+                scene, rule, first_hits, photons_key, first, last, position, direction, power, face, scratch()
             )
             if landed <= capacity:
-                return position[:landed], direction[:landed], power[:landed], face[:landed], scratch.counts
+                return position[:landed], direction[:landed], power[:landed], face[:landed]
             capacity = landed
 
     chunks = list(pool.map(chunk, range(0, count, _CHUNK)))
-    *photons, done = zip(*chunks, strict=True)
-    counts += np.sum(done, axis=0)
-    position, direction, power, face = map(np.concatenate, photons)
+    position, direction, power, face = (np.concatenate(parts) for parts in zip(*chunks, strict=True))
     return build(position, direction, power / count, face, radius, shape)

@@ -459,7 +459,7 @@ def emitted(
             rule=Scattering(survival, weighted, full, independent=False),
             first_hits=first_hits,
             pool=pool,
-            counts=SCRATCH.counts,
+            scratch=new_scratch,
         )
 
 

@@ -440,9 +440,9 @@ def test_chains_of_the_paper_share_maps_and_prefixes_keep_their_bits(busy, monke
     monkeypatch.setattr(tiles, "_CHAINS_A_MAP", 2)
     intact, numbers = Engine._photons, []
 
-    def counted(engine, variant, chain, stored, key, index, count):
+    def counted(engine, variant, chain, stored, key, index, count, scratch):
         numbers.append(index)
-        return intact(engine, variant, chain, stored, key, index, count)
+        return intact(engine, variant, chain, stored, key, index, count, scratch)
 
     monkeypatch.setattr(Engine, "_photons", counted)
     found = renderer.find("specular")
