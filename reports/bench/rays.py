@@ -7,25 +7,21 @@ stands beside it. Mitsuba is told that rays are coherent where that makes it fas
 `renderer.geometry.rays`, whose packets and bundles render kernels do not use as yet.
 """
 
-import importlib.metadata
 import os
-import platform
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from renderer.geometry import bvh
 from renderer.geometry.rays import any_hits, closest_hits
+from reports.bench.common import BACKEND, known, machine, timed
 from scenes.load import load
 
 KINDS = ("primary", "diffuse", "shadow", "ao")
 PAIRS = 7
-# Its rays go through Embree in packets; another variant would be no yardstick.
-_BACKEND = "llvm_ad_rgb"
 RAYS = 2**19
 # Rays of one occlusion origin.
 _FAN = 64
@@ -218,7 +214,7 @@ class Theirs:
     def __init__(self, corners: np.ndarray, *, robust: bool) -> None:
         from reference.backend import import_mitsuba
 
-        self.mi: Any = import_mitsuba(_BACKEND)
+        self.mi: Any = import_mitsuba(BACKEND)
         mi = self.mi
         mesh = mi.Mesh("mesh", vertex_count=3 * len(corners), face_count=len(corners))
         parameters = mi.traverse(mesh)
@@ -255,7 +251,7 @@ class Case:
         for flag in (False, True):
             self.coherent = flag
             self.run()  # compiles
-            seconds.append(min(_seconds(self.run, 1)[0] for _ in range(3)))
+            seconds.append(min(timed(self.run, 1)[0] for _ in range(3)))
         self.coherent = seconds[1] < seconds[0]
 
     def run(self) -> None:
@@ -296,10 +292,8 @@ def measure(
 
     threads = threads or os.cpu_count() or 1
     made = meshes()
-    unknown = [name for name in only if name not in made]
-    if unknown:
-        raise ValueError(f"mesh = {unknown[0]!r}: allowed are {', '.join(made)}")
-    import_mitsuba(_BACKEND)
+    known("mesh", only, made)
+    import_mitsuba(BACKEND)
     import drjit as dr  # reads which LLVM to use when it is first imported, so after the backend has chosen
 
     dr.set_thread_count(threads)
@@ -340,9 +334,9 @@ def _compare(
     mine = Ours(mesh, rays, any_hit=any_hit, pool=pool)
     theirs = {flags: side.case(rays, any_hit=any_hit) for flags, side in sides.items()}
     runs = [mine.run, *(case.run for case in theirs.values())]
-    times = [max(1, round(_SHORTEST / min(_seconds(run, 1)[0] for _ in range(3)))) for run in runs]
+    times = [max(1, round(_SHORTEST / min(timed(run, 1)[0] for _ in range(3)))) for run in runs]
     # (pairs, side, wall and processor)
-    seconds = np.array([[_seconds(*each) for each in zip(runs, times, strict=True)] for _ in range(pairs)])
+    seconds = np.array([[timed(*each) for each in zip(runs, times, strict=True)] for _ in range(pairs)])
     rates = len(rays.origins) / 1e6 / np.median(seconds[:, :, 0], axis=0)
     ratio = seconds[:, 1] / seconds[:, 0]
     differ = mine.hits(any_hit=any_hit) != theirs["robust"].hits()
@@ -362,32 +356,3 @@ def _compare(
         # Float32 against float64: rays within a rounding of a silhouette.
         "differ": int(differ.sum()),
     }
-
-
-def _seconds(run: Callable[[], None], times: int) -> tuple[float, float]:
-    """Wall time and processor time of one run, as a mean of several."""
-    wall, processor = time.perf_counter(), time.process_time()
-    for _ in range(times):
-        run()
-    return (time.perf_counter() - wall) / times, (time.process_time() - processor) / times
-
-
-def machine(threads: int) -> dict[str, Any]:
-    """What ran, and beside how much other work."""
-    versions = {name: importlib.metadata.version(name) for name in ("numba", "llvmlite", "mitsuba", "drjit")}
-    return {
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": threads,
-        "load": os.getloadavg()[0],
-        "versions": versions | {"python": platform.python_version()},
-    }
-
-
-def _processor() -> str:
-    path = Path("/proc/cpuinfo")
-    if path.exists():
-        for line in path.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
