@@ -498,6 +498,64 @@ def terms(
     return 0
 
 
+@bench.command
+def scaling(
+    *,
+    axis: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    runs: Integer = 5,
+    threads: Annotated[int | None, _whole] = None,
+    out: Path = Path("out"),
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Measure what one more triangle, pixel, sample, photon or thread costs, and memory.
+
+    Parameters
+    ----------
+    axis
+        triangles, pixels, samples, photons, threads; all if none.
+    runs
+        Rounds; their median counts.
+    threads
+        The most threads; one per core if not given.
+    out
+        The numbers go to OUT/bench/scaling.json.
+    json_
+        Print them on standard output.
+    """
+    from reports.bench import scaling as bench_scaling
+
+    measured = _measured(
+        out / "bench",
+        "scaling",
+        lambda report: bench_scaling.measure(
+            axes=tuple(axis or ()), runs=runs, threads=threads, report=report
+        ),
+    )
+    if json_:
+        print(json.dumps(measured))
+        return 0
+    table = Table("axis", "value", "seconds", "spread", "ns each", "MB", box=None, pad_edge=False)
+    for case in measured["cases"]:
+        processes = case.get("processes", 1)
+        table.add_row(
+            case["axis"],
+            f"{case['value']}" if processes == 1 else f"{processes} processes",
+            f"{case['seconds']:.4f}",
+            f"{case['seconds_low']:.4f}-{case['seconds_high']:.4f}",
+            f"{case['per_unit_ns']:.0f} / {case['unit']}",
+            f"{case['memory_mb']:.0f}",
+        )
+    _output.print(table)
+    for case in measured["cases"]:
+        if "of_processes" in case:
+            _output.print(
+                f"{case['value']} threads reach {case['of_processes']:.2f} "
+                f"({case['of_processes_low']:.2f}-{case['of_processes_high']:.2f}) of as many processes."
+            )
+    _print_machine(measured["machine"])
+    return 0
+
+
 def _measured(
     folder: Path, name: str, measure: Callable[[Callable[[str, int, int], None]], dict[str, Any]]
 ) -> dict[str, Any]:
