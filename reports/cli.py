@@ -489,6 +489,8 @@ def terms(
                     case["mitsuba_setting"],
                 )
         _output.print(table)
+    for case in measured["apart"]:
+        _output.print(f"{case['scene']}, {case['term']} {case['variant']}: no error that both sides reach")
     _output.print(
         "Seconds of rendering alone to a root mean square error (radiance), and how many times as long Mitsuba takes "
         "in its fastest setting, median of runs (xN: rays that share a hit; rr: roulette).",
@@ -560,6 +562,8 @@ def _measured(
     folder: Path, name: str, measure: Callable[[Callable[[str, int, int], None]], dict[str, Any]]
 ) -> dict[str, Any]:
     """Run a benchmark under a bar of progress; its numbers go to the folder with the command, and onto its page."""
+    from reports.page import bench as page
+
     _folder(folder)
     with _progress() as bar:
         task = bar.add_task("starting", total=None)
@@ -570,6 +574,7 @@ def _measured(
         measured = measure(report)
     measured["command"] = " ".join(["termwise", *sys.argv[1:]])
     (folder / f"{name}.json").write_text(json.dumps(measured, indent=1), "utf-8")
+    page.write(folder)
     return measured
 
 

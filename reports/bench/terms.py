@@ -126,7 +126,7 @@ def measure(
 
     dr.set_thread_count(threads)
     chosen = list(cases(scenes or SCENES, terms or TERMS, resolution))
-    result: dict[str, Any] = {"cases": [], "curves": [], "machine": machine(threads)}
+    result: dict[str, Any] = {"cases": [], "apart": [], "curves": [], "machine": machine(threads)}
     result["settings"] = {"resolution": resolution, "runs": runs, "seconds": seconds}
     done = 0
     # Variants of one integral share its truth and Mitsuba's pilot.
@@ -202,7 +202,10 @@ def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, resu
                 )
             measured = {setting.name: curve for setting, curve in curves.items()}
             known_facts = {"floor": floor, "truth_rmse": truth.noise**0.5, "truth_differs": truth.differ}
-            result["cases"] += [common | row | known_facts for row in _rows(ours, measured, truth, runs)]
+            rows = list(_rows(ours, measured, truth, runs))
+            result["cases"] += [common | row | known_facts for row in rows]
+            if not rows:
+                result["apart"].append(common)
 
 
 def _affordable(engine: Engine, case: Case, seconds: float) -> int:
@@ -210,8 +213,8 @@ def _affordable(engine: Engine, case: Case, seconds: float) -> int:
     for count, _, spent in engine.prefixes(
         case.variant, samples=_ENDLESS, seed=0, replicate=0, chain=case.chain
     ):
-        # Two points at least, so that there is a curve.
-        if count > 1 and spent > seconds / 2:
+        # Four points at least, so that there is a curve.
+        if count >= 8 and spent > seconds / 2:
             return count
     return _ENDLESS
 

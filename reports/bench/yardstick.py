@@ -6,7 +6,7 @@ A setting is a sampler and an integrator:
   for a finite range, and its `direct` asks for the nearest hit where any will do.
 - direct, `first-hit`: `direct` with n emitter samples a camera ray and none of the BSDF.
 - direct, `all`: `path` in the Lambertian twin, as deep as the reference, without roulette or with Mitsuba's own.
-- specular: the reference's chain, its diffuse terms estimated at one vertex.
+- specular: the reference's chain, its diffuse terms estimated at one vertex, with n occlusion rays there.
 
 Seconds are those of the kernels, by Dr.Jit's own history: `mi.render` traces its program anew at each call, and
 compiles it at the first; a frozen function (`dr.freeze`) would not. Both are kept apart. Kernels took the wall-clock
@@ -27,13 +27,15 @@ import mitsuba as mi
 import numpy as np
 
 from reference.film import sensor
-from reference.terms import direct
+from reference.terms import direct, specular
 from reference.wavefront import UNBOUNDED, Samples
 from scenes.limits import Limit
 
 SAMPLERS = ("independent", "multijitter", "orthogonal", "ldsampler")
 # Rays that share a camera ray: a hit found anew costs less than a sixteenth of what 16 do.
 SHARED = (1, 4, 16)
+# Occlusion rays at the one vertex of a chain that has them.
+OCCLUSION = (1, 4)
 # Samples a pixel that are asked for; a sampler rounds them up to what it can spread.
 LADDER = tuple(4**power for power in range(9))
 # Depth from which roulette may end a path: never, or Mitsuba's default.
@@ -67,10 +69,10 @@ class Occlusion(mi.SamplingIntegrator):
 class Chain(mi.SamplingIntegrator):
     """The reference's estimator of the specular term, the vertex of its diffuse terms chosen by the sampler."""
 
-    def __init__(self, loaded: Any, limit: Limit) -> None:
-        """Take the scene of all roles and the integral."""
+    def __init__(self, loaded: Any, limit: Limit, rays: int) -> None:
+        """Take the scene of all roles, the integral, and how many occlusion rays a chain has."""
         mi.SamplingIntegrator.__init__(self, mi.Properties())
-        self._estimate = loaded.estimator(attrs.asdict(limit))
+        self._estimate = specular.estimator(loaded, attrs.asdict(limit), occlusion_rays=rays)
         self._bounces = loaded.description["max_bounces"]
 
     def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
@@ -153,7 +155,7 @@ def settings(loaded: Any, limit: Limit) -> Iterator[Setting]:
         integrators = {f"x{n}": Occlusion(n, ambient["range"], ambient["color"]) for n in SHARED}
     elif limit.term == "specular":
         role = "specular"
-        integrators = {"": Chain(loaded, limit)}
+        integrators = {f"x{n}": Chain(loaded, limit, n) for n in OCCLUSION}
     elif limit.scope == "first-hit":
         role = "direct"
         integrators = {
