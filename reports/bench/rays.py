@@ -17,7 +17,7 @@ import numpy as np
 
 from renderer.geometry import bvh
 from renderer.geometry.rays import any_hits, closest_hits
-from reports.bench.common import BACKEND, known, machine, timed
+from reports.bench.common import BACKEND, known, machine, positive, timed
 from scenes.load import load
 
 KINDS = ("primary", "diffuse", "shadow", "ao")
@@ -291,6 +291,7 @@ def measure(
     """
     from reference.backend import import_mitsuba
 
+    positive(pairs=pairs, count=count, threads=1 if threads is None else threads)
     threads = threads or os.cpu_count() or 1
     made = meshes()
     known("mesh", only, made)

@@ -138,7 +138,7 @@ def measure(
         A name or a number that is not allowed.
     """
     known("axis", axes, AXES)
-    positive(runs=runs, threads=threads or 1)
+    positive(runs=runs, threads=1 if threads is None else threads)
     threads = threads or os.cpu_count() or 1
     names = axes or tuple(AXES)
     result: dict[str, Any] = {"cases": [], "machine": machine(threads), "settings": {"runs": runs}}

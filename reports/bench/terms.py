@@ -119,7 +119,7 @@ def measure(
     """
     known("scene", scenes, SCENES)
     known("term", terms, TERMS)
-    positive(resolution=resolution, runs=runs, seconds=seconds, threads=threads or 1)
+    positive(resolution=resolution, runs=runs, seconds=seconds, threads=1 if threads is None else threads)
     threads = threads or os.cpu_count() or 1
     import_mitsuba(BACKEND)
     import drjit as dr  # reads which LLVM to use when it is first imported, so after the backend has chosen

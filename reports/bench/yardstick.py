@@ -158,11 +158,14 @@ def settings(loaded: Any, limit: Limit) -> Iterator[Setting]:
         integrators = {f"x{n}": Chain(loaded, limit, n) for n in OCCLUSION}
     elif limit.scope == "first-hit":
         role = "direct"
+        # Each of n samples of a point counts fully in Mitsuba's `direct`: n times too bright. Such a light has no noise
+        # that more samples of it would lessen.
+        points = any(thing < 0 for _, thing in description["light_centres"])
         integrators = {
             f"x{n}": mi.load_dict(
                 {"type": "direct", "emitter_samples": n, "bsdf_samples": 0, "hide_emitters": True}
             )
-            for n in SHARED
+            for n in (SHARED[:1] if points else SHARED)
         }
     else:
         role = "direct"

@@ -170,6 +170,8 @@ def error_against_time(ours: list[dict[str, Any]], theirs: list[dict[str, Any]])
     drawn += [value for curve in (*ours, *theirs) for value in curve["rmse"]]
     times = [value for curve in (*ours, *theirs) for value in curve["seconds"]]
     _log_axes(figure, ("seconds of rendering", times), ("RMSE (radiance)", drawn))
+    # Rows of names take their height from the plot.
+    figure.update_layout(height=460)
     return figure.to_plotly_json()
 
 
@@ -221,12 +223,12 @@ def scaling(rows: list[dict[str, Any]]) -> dict[str, Any]:
             "hovertemplate": f"%{{x}} {rows[0]['axis']}<br>%{{y:.4g}} ns a {unit}<extra></extra>",
         }
     )
-    _log_axes(
-        figure, (rows[0]["axis"], values), (f"nanoseconds a {unit}", [*low.tolist(), *high.tolist()])
-    )
+    _log_axes(figure, (rows[0]["axis"], values), (f"nanoseconds a {unit}", [*low.tolist(), *high.tolist()]))
     # From a tenth to ten times the median: what is flat looks flat.
     middle = np.log10(np.median(each))
-    figure.update_yaxes(range=[middle - 1.0, middle + 1.0], **_ticks([10 ** (middle - 1), 10 ** (middle + 1)]))
+    figure.update_yaxes(
+        range=[middle - 1.0, middle + 1.0], **_ticks([10 ** (middle - 1), 10 ** (middle + 1)])
+    )
     figure.update_layout(height=300, margin={"t": 8})
     return figure.to_plotly_json()
 
@@ -238,7 +240,7 @@ def _log_axes(figure: go.Figure, x: tuple[str, list[float]], y: tuple[str, list[
         template="none",
         height=400,
         margin={"l": 70, "r": 16, "t": 16, "b": 56},
-        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "font": {"size": 11}},
+        legend={"orientation": "h", "y": -0.2, "yanchor": "top", "x": 0, "font": {"size": 11}},
         paper_bgcolor="rgba(0,0,0,0)",
         plot_bgcolor="rgba(0,0,0,0)",
     )
