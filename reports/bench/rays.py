@@ -299,6 +299,7 @@ def measure(
     import drjit as dr  # reads which LLVM to use when it is first imported, so after the backend has chosen
 
     dr.set_thread_count(threads)
+    about = machine(threads)
     prepare(_boxes())  # compiles the builder
     cases: list[dict[str, Any]] = []
     builds: list[dict[str, Any]] = []
@@ -316,7 +317,9 @@ def measure(
                 rays = rays_of(kind, mesh, count)
                 cases.append({"mesh": name, "triangles": len(mesh.corners), "kind": kind})
                 cases[-1] |= _compare(mesh, rays, sides, kind, pairs, pool)
-    return {"cases": cases, "builds": builds, "machine": machine(threads)}
+    about["load_end"] = os.getloadavg()[0]
+    settings = {"pairs": pairs, "count": count}
+    return {"cases": cases, "builds": builds, "machine": about, "settings": settings}
 
 
 def _build_row(name: str, mesh: Prepared) -> dict[str, Any]:
