@@ -5,7 +5,7 @@ Both sides render the same integral with the same camera on the same number of t
 best. RMSE is pooled over the runs; a speed-up is the median over runs of the ratio of interpolated seconds. At each
 target Mitsuba has the setting that is its fastest there.
 
-The truth is the mean of both sides' own renders with other seeds and many more samples, weighted by inverse variance;
+The truth is the mean of both sides' own renders with other seeds, ours much finer, weighted by inverse variance;
 its remaining mean square error is taken away from every mean square, and stands in the result beside how far the two
 sides differ beyond their noise: a target far above both says nothing of either. Seconds are those of rendering alone:
 compilation, loading and the tracing of Mitsuba's programs stand apart.
@@ -40,7 +40,7 @@ RESOLUTION = 128
 SECONDS = 0.5
 _SEED, _TRUTH_SEED = 1, 2
 # Of the truth: runs of each side, how much finer than our finest they are, and Mitsuba's samples a pixel.
-_TRUTH_RUNS, _FINER, _TRUTH_SPP = 4, 4, 256
+_TRUTH_RUNS, _FINER, _TRUTH_SPP = 4, 4, 64
 # A setting that takes so many times the pilot's best at every target is not measured again.
 _REACH = 1.5
 _ENDLESS = 2**20

@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jinja2
+
 from reports.page import charts, copy_static, page_environment, render_page
 
 NAMES = ("terms", "rays", "scaling")
@@ -20,23 +22,28 @@ def write(folder: Path) -> Path:
     Raises
     ------
     ValueError
-        None of the files is there, or one is no JSON.
+        None of the files is there, or one is no JSON or of another version.
     """
     found = {name: _read(folder / f"{name}.json") for name in NAMES if (folder / f"{name}.json").is_file()}
     if not found:
         raise ValueError(f"{folder}: no benchmark: allowed are {', '.join(f'{name}.json' for name in NAMES)}")
-    copy_static(folder)
     index = folder / "index.html"
-    render_page(
-        page_environment(),
-        "bench.html.j2",
-        index,
-        root="",
-        runs=found,
-        terms=_terms(found["terms"]) if "terms" in found else {},
-        scaling=_scaling(found["scaling"]) if "scaling" in found else {},
-        best=_best,
-    )
+    try:
+        render_page(
+            page_environment(),
+            "bench.html.j2",
+            index,
+            root="",
+            runs=found,
+            terms=_terms(found["terms"]) if "terms" in found else {},
+            scaling=_scaling(found["scaling"]) if "scaling" in found else {},
+            best=_best,
+        )
+    except (KeyError, jinja2.UndefinedError) as error:
+        raise ValueError(
+            f"{folder}: a benchmark of another version ({error}): allowed is what this one writes; run it again"
+        ) from None
+    copy_static(folder)
     return index
 
 

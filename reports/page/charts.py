@@ -162,8 +162,9 @@ def error_against_time(ours: list[dict[str, Any]], theirs: list[dict[str, Any]])
                     "y": [curve["floor"]] * 2,
                     "mode": "lines",
                     "line": {"color": colour, "width": 1.5, "dash": "dot"},
-                    "name": f"bias of {curve['setting']} at its last point",
-                    "hovertemplate": "bias %{y:.3g}<extra></extra>",
+                    # The page says what dots are: a long name would take the plot's room.
+                    "showlegend": False,
+                    "hovertemplate": f"bias of {curve['setting']} at its last point %{{y:.3g}}<extra></extra>",
                 }
             )
             drawn.append(curve["floor"])

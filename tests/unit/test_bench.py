@@ -224,3 +224,6 @@ def test_an_empty_folder_or_a_broken_file_is_refused(tmp_path):
     (tmp_path / "rays.json").write_text("{")
     with pytest.raises(ValueError, match=r"rays\.json.*termwise bench rays"):
         page.write(tmp_path)
+    (tmp_path / "rays.json").write_text('{"cases": [{"mesh": "boxes"}]}')
+    with pytest.raises(ValueError, match="another version"):
+        page.write(tmp_path)
