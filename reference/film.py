@@ -41,10 +41,10 @@ def serves(loaded: Any, limit: dict[str, Any]) -> bool:
 
 def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.ndarray:
     """Mean image, (1, H, W, 3) float64."""
-    sensor = _sensor(loaded.description["camera"], spp)
+    camera = sensor(loaded.description["camera"], spp)
 
     def image(scene: Any, integrator: dict[str, Any]) -> np.ndarray:
-        tensor = mi.render(scene, sensor=sensor, integrator=mi.load_dict(integrator), spp=spp, seed=seed)
+        tensor = mi.render(scene, sensor=camera, integrator=mi.load_dict(integrator), spp=spp, seed=seed)
         return np.array(tensor, np.float64)[None, ..., :3]
 
     if limit["term"] == "ambient":
@@ -52,7 +52,8 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
     return image(loaded.scenes["direct"], direct.integrator(direct.depth_of(loaded, limit)))
 
 
-def _sensor(camera: dict[str, Any], spp: int) -> Any:
+def sensor(camera: dict[str, Any], spp: int, sampler: str = "independent") -> Any:
+    """Mitsuba's `perspective` of the paper's camera, rays uniform in a pixel, with one of Mitsuba's samplers."""
     origin, corner, across, down = (np.array(camera[key]) for key in ("origin", "corner", "across", "down"))
     width, height = camera["resolution"]
     forward = corner + across / 2 + down / 2
@@ -72,6 +73,6 @@ def _sensor(camera: dict[str, Any], spp: int) -> Any:
                 "component_format": "float32",
                 "pixel_format": "rgb",
             },
-            "sampler": {"type": "independent", "sample_count": spp},
+            "sampler": {"type": sampler, "sample_count": spp},
         }
     )

@@ -7,6 +7,7 @@ could not end. With --json one object goes to standard output, all else to stand
 import importlib.metadata
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -372,22 +373,15 @@ def rays(
     json_
         Print them on standard output.
     """
-    from reports import bench_rays
+    from reports.bench import rays as bench_rays
 
-    for name, value in (("pairs", pairs), ("count", count), ("threads", threads or 1)):
-        if value < 1:
-            raise ValueError(f"{name} = {value}: allowed is at least 1")
-    folder = _folder(out / "bench")
-    with _progress() as bar:
-        task = bar.add_task("starting", total=None)
-
-        def report(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
-
-        measured = bench_rays.measure(
+    measured = _measured(
+        out / "bench",
+        "rays",
+        lambda report: bench_rays.measure(
             threads=threads, pairs=pairs, count=count, only=tuple(mesh or ()), report=report
-        )
-    (folder / "rays.json").write_text(json.dumps(measured, indent=1), "utf-8")
+        ),
+    )
     if json_:
         print(json.dumps(measured))
         return 0
@@ -416,9 +410,176 @@ def rays(
         _output.print(
             f"{row['mesh']}: built in {row['seconds']:.2f} s, {row['bytes_per_triangle']:.0f} bytes a triangle"
         )
-    machine = measured["machine"]
-    _output.print(f"{machine['processor']}, {machine['threads']} threads, load {machine['load']:.1f}")
+    _print_machine(measured["machine"])
     return 0
+
+
+@bench.command
+def terms(
+    *,
+    scene: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    term: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    resolution: Integer = 128,
+    runs: Integer = 5,
+    seconds: float = 0.5,
+    threads: Annotated[int | None, _whole] = None,
+    out: Path = Path("out"),
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Measure seconds to equal error, ours beside Mitsuba's best setting, term by term.
+
+    Parameters
+    ----------
+    scene
+        two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
+    term
+        ambient, direct, specular; all if none.
+    resolution
+        Pixels of a side of the square image.
+    runs
+        Alternating runs of each side; the speed-up is their median.
+    seconds
+        What the longest run of a setting may take, about.
+    threads
+        Threads of each side; one per core if not given.
+    out
+        The numbers go to OUT/bench/terms.json.
+    json_
+        Print them on standard output.
+    """
+    from reports.bench import terms as bench_terms
+
+    measured = _measured(
+        out / "bench",
+        "terms",
+        lambda report: bench_terms.measure(
+            scenes=tuple(scene or ()),
+            terms=tuple(term or ()),
+            resolution=resolution,
+            runs=runs,
+            seconds=seconds,
+            threads=threads,
+            report=report,
+        ),
+    )
+    if json_:
+        print(json.dumps(measured))
+        return 0
+    for name in dict.fromkeys(case["scene"] for case in measured["cases"]):
+        # 80 columns hold it: what is not a terminal has no more.
+        columns = ("term", "variant", "RMSE", "ours", "Mitsuba", "times", "spread", "its setting")
+        table = Table(
+            *columns,
+            title=f"\n[bold]{name}",
+            title_justify="left",
+            box=None,
+            padding=(0, 1, 0, 0),
+            pad_edge=False,
+        )
+        for case in measured["cases"]:
+            if case["scene"] == name:
+                table.add_row(
+                    case["term"] if case["term"] != "direct" else f"direct {case['scope']}",
+                    case["variant"],
+                    f"{case['target_rmse']:.2g}",
+                    f"{case['ours_s']:.3f}",
+                    f"{case['mitsuba_s']:.3f}",
+                    f"{case['speedup']:.2f}",
+                    f"{case['speedup_low']:.2f}-{case['speedup_high']:.2f}",
+                    case["mitsuba_setting"],
+                )
+        _output.print(table)
+    for case in measured["apart"]:
+        _output.print(f"{case['scene']}, {case['term']} {case['variant']}: no error that both sides reach")
+    _output.print(
+        "Seconds of rendering alone to a root mean square error (radiance), and how many times as long Mitsuba takes "
+        "in its fastest setting, median of runs (xN: rays that share a hit; rr: roulette).",
+        soft_wrap=True,
+    )
+    _print_machine(measured["machine"])
+    return 0
+
+
+@bench.command
+def scaling(
+    *,
+    axis: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    runs: Integer = 5,
+    threads: Annotated[int | None, _whole] = None,
+    out: Path = Path("out"),
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Measure what one more triangle, pixel, sample, photon or thread costs, and memory.
+
+    Parameters
+    ----------
+    axis
+        triangles, pixels, samples, photons, threads; all if none.
+    runs
+        Rounds; their median counts.
+    threads
+        The most threads; one per core if not given.
+    out
+        The numbers go to OUT/bench/scaling.json.
+    json_
+        Print them on standard output.
+    """
+    from reports.bench import scaling as bench_scaling
+
+    measured = _measured(
+        out / "bench",
+        "scaling",
+        lambda report: bench_scaling.measure(
+            axes=tuple(axis or ()), runs=runs, threads=threads, report=report
+        ),
+    )
+    if json_:
+        print(json.dumps(measured))
+        return 0
+    table = Table("axis", "value", "seconds", "spread", "ns each", "MB", box=None, pad_edge=False)
+    for case in measured["cases"]:
+        processes = case.get("processes", 1)
+        table.add_row(
+            case["axis"],
+            f"{case['value']}" if processes == 1 else f"{processes} processes",
+            f"{case['seconds']:.4f}",
+            f"{case['seconds_low']:.4f}-{case['seconds_high']:.4f}",
+            f"{case['per_unit_ns']:.0f} / {case['unit']}",
+            f"{case['memory_mb']:.0f}",
+        )
+    _output.print(table)
+    for case in measured["cases"]:
+        if "of_processes" in case:
+            _output.print(
+                f"{case['value']} threads reach {case['of_processes']:.2f} "
+                f"({case['of_processes_low']:.2f}-{case['of_processes_high']:.2f}) of as many processes."
+            )
+    _print_machine(measured["machine"])
+    return 0
+
+
+def _measured(
+    folder: Path, name: str, measure: Callable[[Callable[[str, int, int], None]], dict[str, Any]]
+) -> dict[str, Any]:
+    """Run a benchmark under a bar of progress; its numbers go to the folder with the command, and onto its page."""
+    from reports.page import bench as page
+
+    _folder(folder)
+    with _progress() as bar:
+        task = bar.add_task("starting", total=None)
+
+        def report(what: str, done: int, total: int) -> None:
+            bar.update(task, description=what, completed=done, total=total)
+
+        measured = measure(report)
+    measured["command"] = " ".join(["termwise", *sys.argv[1:]])
+    (folder / f"{name}.json").write_text(json.dumps(measured, indent=1), "utf-8")
+    page.write(folder)
+    return measured
+
+
+def _print_machine(machine: dict[str, Any]) -> None:
+    _output.print(f"{machine['processor']}, {machine['threads']} threads, load {machine['load']:.1f}")
 
 
 def main() -> None:

@@ -29,12 +29,12 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
     return estimate
 
 
-def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
+def incoming(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = RAYS) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses."""
     scene = loaded.scenes["ambient"]
     reach = loaded.description["ambient"]["range"] if limit["occluded"] else 0.0
     if built_in(loaded, limit):
-        direct = mi.load_dict(INTEGRATOR)
+        direct = mi.load_dict(INTEGRATOR | {"bsdf_samples": occlusion_rays})
 
         def unbounded(ray: Any, sampler: Any, active: Any) -> Any:
             color, valid, _ = direct.sample(scene, sampler, mi.RayDifferential3f(ray), None, active)
@@ -58,7 +58,7 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
         if reach == 0.0:
             return dr.select(active, albedo * color, 0.0)
         seen = mi.Float(0.0)
-        for _ in range(RAYS):
+        for _ in range(occlusion_rays):
             if limit["rings"] is None:
                 local, weight = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active)), 1.0
             else:
@@ -67,7 +67,7 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
             occlusion_ray = si.spawn_ray(si.to_world(local * rays.side(loaded, si)))
             occlusion_ray.maxt = dr.opaque(mi.Float, reach)
             seen += dr.select(rays.blocked(loaded, scene, si, occlusion_ray, active), 0.0, weight)
-        return dr.select(active, albedo * color * (seen / RAYS), 0.0)
+        return dr.select(active, albedo * color * (seen / occlusion_rays), 0.0)
 
     return bounded
 

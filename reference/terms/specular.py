@@ -16,11 +16,11 @@ from ..wavefront import Estimator, Samples
 from . import ambient, direct, shadows
 
 
-def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
+def estimator(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = ambient.RAYS) -> Estimator:
     """Samples -> (specular term,); unbiased but for the depth of `direct`, which `twin` adds where it has a kernel."""
     # What the other terms are does not vary with the specular variant.
     plain = limit | {"rings": None}
-    terms = [(limit["ambient"], ambient.incoming(loaded, plain))]
+    terms = [(limit["ambient"], ambient.incoming(loaded, plain, occlusion_rays=occlusion_rays))]
     if limit["kernel"] is None:
         terms.append((1.0, direct.incoming(loaded, plain)))
     chain = segments(loaded, limit)

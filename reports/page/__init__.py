@@ -78,7 +78,7 @@ def write(run: Path) -> Path:
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
     shown = {scene.name: scene.draw(run) for scene in every}
-    _copy(run)
+    copy_static(run)
 
     exact = _exact(rows)
     judged = [scene.row(*key, "own") for scene in every for key in scene.keys]
@@ -105,14 +105,14 @@ def write(run: Path) -> Path:
             if (run / name).is_file()
         ],
     }
-    environment = _environment()
-    _render(environment, "method.html.j2", run / "method.html", root="", **common)
+    environment = page_environment()
+    render_page(environment, "method.html.j2", run / "method.html", root="", **common)
     for scene in every:
         page = run / "scenes" / f"{scene.name}.html"
-        _render(environment, "scene.html.j2", page, root="../", scene=scene, **common)
+        render_page(environment, "scene.html.j2", page, root="../", scene=scene, **common)
     index = run / "index.html"
     front = "variants.html.j2" if results["settings"].get("page") == "variants" else "index.html.j2"
-    _render(environment, front, index, root="", keys=_keys(scenes), **common)
+    render_page(environment, front, index, root="", keys=_keys(scenes), **common)
     return index
 
 
@@ -343,7 +343,8 @@ def _slug(text: str) -> str:
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-")
 
 
-def _environment() -> jinja2.Environment:
+def page_environment() -> jinja2.Environment:
+    """The templates with their filters."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE / "templates"),
         autoescape=True,
@@ -382,12 +383,13 @@ def _bar() -> str:
     return "linear-gradient(to right, " + ", ".join(f"rgb({r} {g} {b})" for r, g, b in colours.tolist()) + ")"
 
 
-def _render(environment: jinja2.Environment, template: str, path: Path, **values: Any) -> None:
+def render_page(environment: jinja2.Environment, template: str, path: Path, **values: Any) -> None:
+    """Write a page."""
     text = environment.get_template(template).render(**values)
     write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
 
 
-def _copy(run: Path) -> None:
+def copy_static(run: Path) -> None:
     """Style and scripts, shared by all pages."""
     for path in sorted((_HERE / "static").iterdir()):
         write_atomically(run / path.name, lambda temporary, path=path: shutil.copyfile(path, temporary))

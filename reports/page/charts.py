@@ -123,6 +123,130 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
     return figure.to_plotly_json()
 
 
+def error_against_time(ours: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> dict[str, Any]:
+    """RMSE against seconds of rendering: our variants in colours, Mitsuba's settings grey, the fastest of them dark.
+
+    Parameters
+    ----------
+    ours, theirs : curves of a benchmark of terms: `setting`, `samples`, `rmse`, `seconds`, `seconds_low`,
+        `seconds_high`; of ours `floor`, of theirs `kept`.
+    """
+    figure = go.Figure()
+    # A setting that no target keeps is drawn first, without a name of its own: hundreds of names say nothing.
+    for curve in sorted(theirs, key=lambda curve: bool(curve["kept"])):
+        kept = bool(curve["kept"])
+        figure.add_trace(
+            _curve(curve, f"Mitsuba: {curve['setting']}", GUIDE, MARKS[_sampler(curve)])
+            | {"showlegend": kept, "opacity": 1.0 if kept else 0.3, "legendrank": 1500}
+        )
+    drawn = []
+    for index, curve in enumerate(ours):
+        colour = COLOURS[index % len(COLOURS)]
+        figure.add_trace(
+            _curve(curve, f"ours: {curve['setting']}", colour, MARKS[index])
+            | {
+                "error_x": {
+                    "type": "data",
+                    "symmetric": False,
+                    "array": np.subtract(curve["seconds_high"], curve["seconds"]).tolist(),
+                    "arrayminus": np.subtract(curve["seconds"], curve["seconds_low"]).tolist(),
+                    "thickness": 1,
+                    "width": 2,
+                }
+            }
+        )
+        if curve["floor"]:
+            figure.add_trace(
+                {
+                    "x": [curve["seconds"][0], curve["seconds"][-1]],
+                    "y": [curve["floor"]] * 2,
+                    "mode": "lines",
+                    "line": {"color": colour, "width": 1.5, "dash": "dot"},
+                    # The page says what dots are: a long name would take the plot's room.
+                    "showlegend": False,
+                    "hovertemplate": f"bias of {curve['setting']} at its last point %{{y:.3g}}<extra></extra>",
+                }
+            )
+            drawn.append(curve["floor"])
+    drawn += [value for curve in (*ours, *theirs) for value in curve["rmse"]]
+    times = [value for curve in (*ours, *theirs) for value in curve["seconds"]]
+    _log_axes(figure, ("seconds of rendering", times), ("RMSE (radiance)", drawn))
+    # Rows of names take their height from the plot.
+    figure.update_layout(height=460)
+    return figure.to_plotly_json()
+
+
+def _sampler(curve: dict[str, Any]) -> int:
+    """The place of a setting's sampler among the marks."""
+    names = ("independent", "multijitter", "orthogonal", "ldsampler")
+    return names.index(curve["setting"].split()[0]) if curve["setting"].split()[0] in names else len(names)
+
+
+def _curve(curve: dict[str, Any], name: str, colour: str, mark: str) -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "x": curve["seconds"],
+        "y": curve["rmse"],
+        "customdata": curve["samples"],
+        "name": name,
+        "mode": "lines+markers",
+        "line": {"color": colour, "width": 1.5},
+        "marker": {"color": colour, "symbol": mark, "size": 7},
+        "hovertemplate": f"{name}<br>%{{customdata}} samples a pixel<br>%{{x:.4g}} s<br>RMSE %{{y:.3g}}<extra></extra>",
+    }
+
+
+def scaling(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Nanoseconds a unit against the value of one axis, from its least to its greatest time."""
+    figure = go.Figure()
+    values = [row["value"] for row in rows]
+    each = np.array([row["per_unit_ns"] for row in rows])
+    factor = each / np.array([row["seconds"] for row in rows])
+    low, high = (factor * np.array([row[name] for row in rows]) for name in ("seconds_low", "seconds_high"))
+    unit = rows[0]["unit"]
+    figure.add_trace(
+        {
+            "type": "scatter",
+            "x": values,
+            "y": each.tolist(),
+            "mode": "lines+markers",
+            "line": {"color": COLOURS[0], "width": 1.5},
+            "marker": {"color": COLOURS[0], "size": 8},
+            "error_y": {
+                "type": "data",
+                "symmetric": False,
+                "array": (high - each).tolist(),
+                "arrayminus": (each - low).tolist(),
+                "thickness": 1,
+                "width": 3,
+            },
+            "showlegend": False,
+            "hovertemplate": f"%{{x}} {rows[0]['axis']}<br>%{{y:.4g}} ns a {unit}<extra></extra>",
+        }
+    )
+    _log_axes(figure, (rows[0]["axis"], values), (f"nanoseconds a {unit}", [*low.tolist(), *high.tolist()]))
+    # From a tenth to ten times the median: what is flat looks flat.
+    middle = np.log10(np.median(each))
+    figure.update_yaxes(
+        range=[middle - 1.0, middle + 1.0], **_ticks([10 ** (middle - 1), 10 ** (middle + 1)])
+    )
+    figure.update_layout(height=300, margin={"t": 8})
+    return figure.to_plotly_json()
+
+
+def _log_axes(figure: go.Figure, x: tuple[str, list[float]], y: tuple[str, list[float]]) -> None:
+    figure.update_xaxes(type="log", title=x[0], **_ticks(x[1]))
+    figure.update_yaxes(type="log", title=y[0], **_ticks(y[1]))
+    figure.update_layout(
+        template="none",
+        height=400,
+        margin={"l": 70, "r": 16, "t": 16, "b": 56},
+        legend={"orientation": "h", "y": -0.2, "yanchor": "top", "x": 0, "font": {"size": 11}},
+        paper_bgcolor="rgba(0,0,0,0)",
+        plot_bgcolor="rgba(0,0,0,0)",
+    )
+
+
 def _fit(
     rows: list[dict[str, Any]], samples: np.ndarray, rmse: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:

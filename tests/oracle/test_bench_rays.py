@@ -7,18 +7,19 @@ import json
 
 import pytest
 
-from reports import bench_rays, cli
+from reports import cli
+from reports.bench import rays
 
 KEYS = {"mesh", "triangles", "kind", "ours_mrays", "mitsuba_mrays", "ratio", "ratio_low", "ratio_high"}
 
 
 def test_every_kind_of_ray_hits_alike(monkeypatch, tmp_path):
     """36 and 968 triangles, all kinds: hit or miss is Mitsuba's for all but 1 ray in 1000, and the file says all."""
-    monkeypatch.setattr(bench_rays, "_SHORTEST", 0.0)
+    monkeypatch.setattr(rays, "_SHORTEST", 0.0)
     assert cli.rays(mesh=["boxes", "monkey"], pairs=1, count=4096, out=tmp_path) == 0
     measured = json.loads((tmp_path / "bench" / "rays.json").read_text("utf-8"))
     assert [(case["mesh"], case["kind"]) for case in measured["cases"]] == [
-        (mesh, kind) for mesh in ("boxes", "monkey") for kind in bench_rays.KINDS
+        (mesh, kind) for mesh in ("boxes", "monkey") for kind in rays.KINDS
     ]
     for case in measured["cases"]:
         assert set(case) >= KEYS
@@ -29,4 +30,4 @@ def test_every_kind_of_ray_hits_alike(monkeypatch, tmp_path):
 
 def test_unknown_mesh_is_named():
     with pytest.raises(ValueError, match="mesh = 'teapot'"):
-        bench_rays.measure(only=("teapot",))
+        rays.measure(only=("teapot",))

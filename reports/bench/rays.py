@@ -7,13 +7,10 @@ stands beside it. Mitsuba is told that rays are coherent where that makes it fas
 `renderer.geometry.rays`, whose packets and bundles render kernels do not use as yet.
 """
 
-import importlib.metadata
 import os
-import platform
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,12 +18,11 @@ import numpy as np
 from renderer.geometry import bvh
 from renderer.geometry.packets import new_group
 from renderer.geometry.rays import any_hits, closest_hits
+from reports.bench.common import BACKEND, known, machine, positive, timed
 from scenes.load import load
 
 KINDS = ("primary", "diffuse", "shadow", "ao")
 PAIRS = 7
-# Its rays go through Embree in packets; another variant would be no yardstick.
-_BACKEND = "llvm_ad_rgb"
 RAYS = 2**19
 # Rays of one occlusion origin.
 _FAN = 64
@@ -57,8 +53,8 @@ def meshes() -> dict[str, Callable[[], np.ndarray]]:
     return {
         "boxes": _boxes,
         "monkey": lambda: _monkey(0),
-        "ball-20k": lambda: _ball(5),
-        "ball-328k": lambda: _ball(7),
+        "ball-20k": lambda: ball(5),
+        "ball-328k": lambda: ball(7),
         "monkey-1m": lambda: _monkey(5),
     }
 
@@ -79,7 +75,8 @@ def _boxes() -> np.ndarray:
     return _round(np.concatenate([box.vertices[box.faces] for box in boxes]))
 
 
-def _ball(subdivisions: int) -> np.ndarray:
+def ball(subdivisions: int) -> np.ndarray:
+    """A bumpy ball around the origin, its radius 1 on average: (20 * 4^subdivisions, 3, 3), float32 numbers."""
     import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions)
@@ -226,7 +223,7 @@ class Theirs:
     def __init__(self, corners: np.ndarray, *, robust: bool) -> None:
         from reference.backend import import_mitsuba
 
-        self.mi: Any = import_mitsuba(_BACKEND)
+        self.mi: Any = import_mitsuba(BACKEND)
         mi = self.mi
         mesh = mi.Mesh("mesh", vertex_count=3 * len(corners), face_count=len(corners))
         parameters = mi.traverse(mesh)
@@ -263,7 +260,7 @@ class Case:
         for flag in (False, True):
             self.coherent = flag
             self.run()  # compiles
-            seconds.append(min(_seconds(self.run, 1)[0] for _ in range(3)))
+            seconds.append(min(timed(self.run, 1)[0] for _ in range(3)))
         self.coherent = seconds[1] < seconds[0]
 
     def run(self) -> None:
@@ -302,15 +299,15 @@ def measure(
     """
     from reference.backend import import_mitsuba
 
+    positive(pairs=pairs, count=count, threads=1 if threads is None else threads)
     threads = threads or os.cpu_count() or 1
     made = meshes()
-    unknown = [name for name in only if name not in made]
-    if unknown:
-        raise ValueError(f"mesh = {unknown[0]!r}: allowed are {', '.join(made)}")
-    import_mitsuba(_BACKEND)
+    known("mesh", only, made)
+    import_mitsuba(BACKEND)
     import drjit as dr  # reads which LLVM to use when it is first imported, so after the backend has chosen
 
     dr.set_thread_count(threads)
+    about = machine(threads)
     prepare(_boxes())  # compiles the builder
     cases: list[dict[str, Any]] = []
     builds: list[dict[str, Any]] = []
@@ -328,7 +325,9 @@ def measure(
                 rays = rays_of(kind, mesh, count)
                 cases.append({"mesh": name, "triangles": len(mesh.corners), "kind": kind})
                 cases[-1] |= _compare(mesh, rays, sides, kind, pairs, pool)
-    return {"cases": cases, "builds": builds, "machine": machine(threads)}
+    about["load_end"] = os.getloadavg()[0]
+    settings = {"pairs": pairs, "count": count}
+    return {"cases": cases, "builds": builds, "machine": about, "settings": settings}
 
 
 def _build_row(name: str, mesh: Prepared) -> dict[str, Any]:
@@ -348,9 +347,9 @@ def _compare(
     mine = Ours(mesh, rays, any_hit=any_hit, pool=pool)
     theirs = {flags: side.case(rays, any_hit=any_hit) for flags, side in sides.items()}
     runs = [mine.run, *(case.run for case in theirs.values())]
-    times = [max(1, round(_SHORTEST / min(_seconds(run, 1)[0] for _ in range(3)))) for run in runs]
+    times = [max(1, round(_SHORTEST / min(timed(run, 1)[0] for _ in range(3)))) for run in runs]
     # (pairs, side, wall and processor)
-    seconds = np.array([[_seconds(*each) for each in zip(runs, times, strict=True)] for _ in range(pairs)])
+    seconds = np.array([[timed(*each) for each in zip(runs, times, strict=True)] for _ in range(pairs)])
     rates = len(rays.origins) / 1e6 / np.median(seconds[:, :, 0], axis=0)
     ratio = seconds[:, 1] / seconds[:, 0]
     differ = mine.hits(any_hit=any_hit) != theirs["robust"].hits()
@@ -370,32 +369,3 @@ def _compare(
         # Float32 against float64: rays within a rounding of a silhouette.
         "differ": int(differ.sum()),
     }
-
-
-def _seconds(run: Callable[[], None], times: int) -> tuple[float, float]:
-    """Wall time and processor time of one run, as a mean of several."""
-    wall, processor = time.perf_counter(), time.process_time()
-    for _ in range(times):
-        run()
-    return (time.perf_counter() - wall) / times, (time.process_time() - processor) / times
-
-
-def machine(threads: int) -> dict[str, Any]:
-    """What ran, and beside how much other work."""
-    versions = {name: importlib.metadata.version(name) for name in ("numba", "llvmlite", "mitsuba", "drjit")}
-    return {
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": threads,
-        "load": os.getloadavg()[0],
-        "versions": versions | {"python": platform.python_version()},
-    }
-
-
-def _processor() -> str:
-    path = Path("/proc/cpuinfo")
-    if path.exists():
-        for line in path.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()

@@ -1,0 +1,363 @@
+"""Seconds to equal error of one term: `speed-up(e) = t_Mitsuba(e) / t_ours(e)`, e = RMSE over pixels and channels.
+
+Both sides render the same integral with the same camera on the same number of threads, in alternating runs: ours once
+(the prefixes of one run are its whole curve), then each setting of Mitsuba's that a pilot run found within reach of its
+best. RMSE is pooled over the runs; a speed-up is the median over runs of the ratio of interpolated seconds. At each
+target Mitsuba has the setting that is its fastest there.
+
+The truth is the mean of both sides' own renders with other seeds, ours much finer, weighted by inverse variance;
+its remaining mean square error is taken away from every mean square, and stands in the result beside how far the two
+sides differ beyond their noise: a target far above both says nothing of either. Seconds are those of rendering alone:
+compilation, loading and the tracing of Mitsuba's programs stand apart.
+"""
+
+import itertools
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import attrs
+import numpy as np
+
+import reference
+from reference.backend import import_mitsuba
+from renderer import Engine, Variant, find
+from renderer.terms import Chain
+from reports.bench.common import BACKEND, known, machine, positive, spread
+from reports.bench.curves import pooled, seconds_to, targets
+from scenes import limits
+from scenes.limits import Limit
+from scenes.load import load
+from scenes.model import Scene
+from scenes.terms import Scope
+
+SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
+TERMS = ("ambient", "direct", "specular")
+RUNS = 5
+RESOLUTION = 128
+# Seconds that the longest run of a setting may take, about.
+SECONDS = 0.5
+_SEED, _TRUTH_SEED = 1, 2
+# Of the truth: runs of each side, how much finer than our finest they are, and Mitsuba's samples a pixel.
+_TRUTH_RUNS, _FINER, _TRUTH_SPP = 4, 4, 64
+# A setting that takes so many times the pilot's best at every target is not measured again.
+_REACH = 1.5
+_ENDLESS = 2**20
+
+
+class Case(NamedTuple):
+    """One estimator of ours on one scene; `label` is what a table calls it, and `right` the truth's own estimator."""
+
+    scene: Scene
+    scope: Scope | None
+    variant: Variant
+    chain: Chain
+    label: str
+    right: tuple[Variant, Chain]
+
+    @property
+    def limit(self) -> Limit:
+        """The integral that both sides render."""
+        return limits.correct(self.variant.term, self.scene.scope)
+
+    @property
+    def kernel_based(self) -> bool:
+        """Whether photon kernels of a finite radius bias it."""
+        return self.variant.photons(self.scene, self.chain) is not None
+
+
+class Curve(NamedTuple):
+    """Points of one side and setting: samples (P,), mean squares of the error (K, P), seconds (K, P)."""
+
+    samples: tuple[int, ...]
+    square: np.ndarray
+    seconds: np.ndarray
+
+
+class Truth(NamedTuple):
+    """The image (H, W, 3) that errors are measured against.
+
+    Attributes
+    ----------
+    noise : its own mean square error, by the variance between its runs.
+    differ : RMS of ours minus Mitsuba's beyond their noise; 0 where noise explains all.
+    """
+
+    image: np.ndarray
+    noise: float
+    differ: float
+
+
+def measure(
+    *,
+    scenes: tuple[str, ...] = (),
+    terms: tuple[str, ...] = (),
+    resolution: int = RESOLUTION,
+    runs: int = RUNS,
+    seconds: float = SECONDS,
+    threads: int | None = None,
+    report: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> dict[str, Any]:
+    """Measure all cases; JSON values.
+
+    Parameters
+    ----------
+    scenes, terms : of `SCENES` and `TERMS`; all if none.
+    resolution : pixels of a side of the square image.
+    runs : alternating runs of each side.
+    seconds : what the longest run of a setting may take, about.
+    threads : threads of each side; None: one a core.
+    report : called with (what runs, done, total).
+
+    Raises
+    ------
+    ValueError
+        A name or a number that is not allowed.
+    reference.backend.BackendError
+        Mitsuba's `llvm_ad_rgb` cannot run here.
+    """
+    known("scene", scenes, SCENES)
+    known("term", terms, TERMS)
+    positive(resolution=resolution, runs=runs, seconds=seconds, threads=1 if threads is None else threads)
+    threads = threads or os.cpu_count() or 1
+    import_mitsuba(BACKEND)
+    import drjit as dr  # reads which LLVM to use when it is first imported, so after the backend has chosen
+
+    dr.set_thread_count(threads)
+    chosen = list(cases(scenes or SCENES, terms or TERMS, resolution))
+    result: dict[str, Any] = {"cases": [], "apart": [], "curves": [], "machine": machine(threads)}
+    result["settings"] = {"resolution": resolution, "runs": runs, "seconds": seconds}
+    done = 0
+    # Variants of one integral share its truth and Mitsuba's pilot.
+    for (name, limit), group in itertools.groupby(chosen, key=lambda case: (case.scene.name, case.limit)):
+        mine = list(group)
+        report(f"{name} {limit.term}", done, len(chosen))
+        _compare(mine, threads=threads, runs=runs, seconds=seconds, result=result)
+        done += len(mine)
+    result["machine"]["load_end"] = os.getloadavg()[0]
+    return result
+
+
+def cases(scenes: tuple[str, ...], terms: tuple[str, ...], resolution: int) -> Iterator[Case]:
+    """Our estimators that converge to the right integral, the product's defaults and unbiased ones."""
+    for name in scenes:
+        scene = attrs.evolve(load(name), resolution=(resolution, resolution))
+        for term in terms:
+            if term == "ambient":
+                variant = find("ambient")
+                yield Case(scene, None, variant, "path", variant.name, (variant, "path"))
+            elif term == "direct":
+                straight = attrs.evolve(scene, scope="first-hit")
+                variant = find("direct", "next-event")
+                yield Case(straight, "first-hit", variant, "path", variant.name, (variant, "path"))
+                scattered, path = attrs.evolve(scene, scope="all"), find("direct", "path")
+                for each in (variant, path):
+                    yield Case(scattered, "all", each, "path", each.name, (path, "path"))
+            else:
+                variant = find("specular")
+                for chain in ("next-event", "path") if scene.scope == "all" else ("path",):
+                    label = f"{variant.name}+{chain}" if scene.scope == "all" else variant.name
+                    yield Case(scene, scene.scope, variant, chain, label, (variant, "path"))
+
+
+def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, result: dict[str, Any]) -> None:
+    """Append the cases and curves of estimators of one integral."""
+    from reports.bench import yardstick
+
+    scene, limit = cases[0].scene, cases[0].limit
+    start = time.perf_counter()
+    loaded = reference.loaded(scene)
+    loading = time.perf_counter() - start
+    settings = list(yardstick.settings(loaded, limit))
+    with Engine(scene, threads=threads) as engine:
+        counts = [_affordable(engine, case, seconds) for case in cases]
+        truth = _truth(engine, cases[0], limit, finest=max(counts))
+        # Twice, for other work on the machine must not put a setting out of reach.
+        first = {
+            setting: _joined(
+                [_theirs(setting, truth, seconds, seed=_SEED + runs + each) for each in range(2)]
+            )
+            for setting in settings
+        }
+        for case, count in zip(cases, counts, strict=True):
+            pilot = _ours(engine, case, count, truth, run=runs)
+            kept = _within_reach(pilot, first, truth)
+            images: list[np.ndarray] = []
+            points: dict[Any, list[Curve]] = {side: [] for side in ("ours", *kept)}
+            for run in range(runs):
+                points["ours"].append(_ours(engine, case, count, truth, run=run, images=images))
+                for setting in kept:
+                    points[setting].append(_theirs(setting, truth, seconds, seed=_SEED + run))
+            curves = {side: _joined(each) for side, each in points.items()}
+            common = {
+                "scene": scene.name, "term": limit.term, "scope": case.scope, "variant": case.label,
+            }  # fmt: skip
+            ours = curves.pop("ours")
+            floor = _floor(images, truth) if case.kernel_based else None
+            facts = {"compile_seconds": engine.compile_seconds, "floor": floor}
+            result["curves"].append(
+                common | {"side": "ours", "setting": case.label} | facts | _points(ours, truth)
+            )
+            for setting in settings:
+                curve = curves.get(setting, first[setting])
+                facts = {"compile_seconds": setting.compile_seconds, "trace_seconds": setting.overhead}
+                facts |= {"load_seconds": loading, "kept": setting in curves}
+                result["curves"].append(
+                    common | {"side": "mitsuba", "setting": setting.name} | facts | _points(curve, truth)
+                )
+            measured = {setting.name: curve for setting, curve in curves.items()}
+            known_facts = {"floor": floor, "truth_rmse": truth.noise**0.5, "truth_differs": truth.differ}
+            rows = list(_rows(ours, measured, truth, runs))
+            result["cases"] += [common | row | known_facts for row in rows]
+            if not rows:
+                result["apart"].append(common)
+
+
+def _affordable(engine: Engine, case: Case, seconds: float) -> int:
+    """Samples, a power of two, that one run can afford; compiles."""
+    for count, _, spent in engine.prefixes(
+        case.variant, samples=_ENDLESS, seed=0, replicate=0, chain=case.chain
+    ):
+        # Four points at least, so that there is a curve.
+        if count >= 8 and spent > seconds / 2:
+            return count
+    return _ENDLESS
+
+
+def _truth(engine: Engine, case: Case, limit: Limit, *, finest: int) -> Truth:
+    variant, chain = case.right
+    samples = _FINER * finest
+    ours = []
+    for run in range(_TRUTH_RUNS):
+        *_, (_, image, _) = engine.prefixes(
+            variant, samples=samples, seed=_TRUTH_SEED, replicate=run, chain=chain
+        )
+        ours.append(image)
+    theirs = [
+        reference.replicate(case.scene, limit, spp=_TRUTH_SPP, seed=_TRUTH_SEED, replicate=run)
+        for run in range(_TRUTH_RUNS)
+    ]
+    means, noises = zip(
+        *(_mean_and_noise(np.array(runs, np.float64)) for runs in (ours, theirs)), strict=True
+    )
+    total = sum(noises)
+    if total == 0.0:
+        return Truth(means[0], 0.0, float(np.sqrt(np.mean((means[0] - means[1]) ** 2))))
+    image = (noises[1] * means[0] + noises[0] * means[1]) / total
+    differ = float(np.mean((means[0] - means[1]) ** 2)) - total
+    return Truth(image, noises[0] * noises[1] / total, max(0.0, differ) ** 0.5)
+
+
+def _mean_and_noise(runs: np.ndarray) -> tuple[np.ndarray, float]:
+    """Mean of runs (K, H, W, 3), and its mean square error by the variance between them."""
+    return runs.mean(axis=0), float(runs.var(axis=0, ddof=1).mean()) / len(runs)
+
+
+def _ours(
+    engine: Engine, case: Case, count: int, truth: Truth, *, run: int, images: list[np.ndarray] | None = None
+) -> Curve:
+    """One run of ours; its finest image goes to `images`."""
+    samples, square, seconds = [], [], []
+    for number, image, spent in engine.prefixes(
+        case.variant, samples=count, seed=_SEED, replicate=run, chain=case.chain
+    ):
+        samples.append(number)
+        square.append(_mean_square(image, truth))
+        seconds.append(spent)
+        if images is not None and number == count:
+            images.append(image)
+    return Curve(tuple(samples), np.array([square]), np.array([seconds]))
+
+
+def _theirs(setting: Any, truth: Truth, seconds: float, *, seed: int) -> Curve:
+    """One run of a setting of Mitsuba's; its coarsest two points at least.
+
+    A ladder is climbed as far as the pilot climbed, whatever the machine does beside it.
+    """
+    from reports.bench import yardstick
+
+    samples, square, spent = [], [], []
+    for asked in yardstick.LADDER:
+        count = setting.samples(asked)
+        if count in samples:
+            continue
+        if setting.ladder is not None:
+            if count not in setting.ladder:
+                break
+        elif len(samples) > 1 and spent[-1] * count / samples[-1] > seconds:
+            break
+        image, took = setting.render(count, seed)
+        samples.append(count)
+        square.append(_mean_square(image, truth))
+        spent.append(took)
+    setting.ladder = tuple(samples)
+    return Curve(tuple(samples), np.array([square]), np.array([spent]))
+
+
+def _mean_square(image: np.ndarray, truth: Truth) -> float:
+    return float(np.mean((image - truth.image) ** 2))
+
+
+def _joined(curves: list[Curve]) -> Curve:
+    return Curve(
+        curves[0].samples,
+        np.concatenate([curve.square for curve in curves]),
+        np.concatenate([curve.seconds for curve in curves]),
+    )
+
+
+def _within_reach(ours: Curve, theirs: dict[Any, Curve], truth: Truth) -> list[Any]:
+    """Settings that the pilot found near Mitsuba's best at one target at least."""
+    errors = {setting: pooled(curve.square, truth.noise) for setting, curve in theirs.items()}
+    kept = []
+    for target in targets(list(pooled(ours.square, truth.noise)), [list(each) for each in errors.values()]):
+        times = {
+            setting: seconds_to(target, list(errors[setting]), list(curve.seconds.min(axis=0)))
+            for setting, curve in theirs.items()
+        }
+        best = min(times.values())
+        kept += [setting for setting, spent in times.items() if spent <= _REACH * best]
+    return [setting for setting in theirs if setting in kept]
+
+
+def _rows(ours: Curve, theirs: dict[str, Curve], truth: Truth, runs: int) -> Iterator[dict[str, Any]]:
+    """Seconds of both sides at the targets."""
+    mine = list(pooled(ours.square, truth.noise))
+    errors = {name: list(pooled(curve.square, truth.noise)) for name, curve in theirs.items()}
+    for target in targets(mine, list(errors.values())) if errors else ():
+        their_times = {
+            name: [seconds_to(target, errors[name], list(curve.seconds[run])) for run in range(runs)]
+            for name, curve in theirs.items()
+        }
+        name = min(their_times, key=lambda name: float(np.median(their_times[name])))
+        my_times = [seconds_to(target, mine, list(ours.seconds[run])) for run in range(runs)]
+        ratios = spread(their / my for their, my in zip(their_times[name], my_times, strict=True))
+        yield {
+            "target_rmse": target,
+            "ours_s": spread(my_times)[0],
+            "mitsuba_s": spread(their_times[name])[0],
+            "mitsuba_setting": name,
+            "speedup": ratios[0],
+            "speedup_low": ratios[1],
+            "speedup_high": ratios[2],
+        }
+
+
+def _points(curve: Curve, truth: Truth) -> dict[str, Any]:
+    middle, low, high = zip(*(spread(column) for column in curve.seconds.T), strict=True)
+    return {
+        "samples": list(curve.samples),
+        "rmse": pooled(curve.square, truth.noise).tolist(),
+        "seconds": list(middle),
+        "seconds_low": list(low),
+        "seconds_high": list(high),
+    }
+
+
+def _floor(images: list[np.ndarray], truth: Truth) -> float | None:
+    """RMS bias of the finest images, freed of their noise and the truth's: what more samples mend slowly, if at all."""
+    if len(images) < 2:
+        return None
+    mean, noise = _mean_and_noise(np.array(images))
+    return max(0.0, _mean_square(mean, truth) - noise - truth.noise) ** 0.5

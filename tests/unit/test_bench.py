@@ -1,0 +1,229 @@
+"""Benchmarks: what is computed from measured points, what is refused, the page; never a speed."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from reports import cli
+from reports.bench import common, curves, scaling, terms
+from reports.bench.worker import Load
+from reports.page import bench as page
+from scenes.terms import TERMS
+
+MACHINE = {"processor": "a <fast> one", "cores": 2, "threads": 2, "load": 0.5, "versions": {"python": "3.11"}}
+
+
+@pytest.mark.parametrize("slope", [0.5, 0.75, 1.0])
+def test_power_laws_are_interpolated_exactly(slope):
+    """RMSE = N^-slope at N microseconds: e is reached after e^(-1 / slope) of them, between any two points."""
+    samples = 4.0 ** np.arange(6)
+    rmse, seconds = samples**-slope, 1e-6 * samples
+    for target in np.geomspace(rmse[0], rmse[-1], 17)[1:-1]:
+        expected = 1e-6 * target ** (-1.0 / slope)
+        assert curves.seconds_to(target, rmse.tolist(), seconds.tolist()) == pytest.approx(expected)
+
+
+def test_an_error_that_is_never_reached_takes_for_ever():
+    assert curves.seconds_to(0.09, [0.4, 0.2, 0.1], [1.0, 4.0, 16.0]) == math.inf
+
+
+def test_a_coarsest_point_serves_greater_errors():
+    assert curves.seconds_to(0.7, [0.4, 0.2], [1.0, 4.0]) == 1.0
+
+
+def test_a_curve_that_noise_lifts_is_crossed_where_it_first_falls():
+    assert curves.seconds_to(0.2, [0.4, 0.1, 0.3, 0.1], [1.0, 4.0, 16.0, 64.0]) == pytest.approx(2.0)
+
+
+def test_targets_lie_inside_both_curves():
+    """Three falling errors between 0.05, the best that ours has, and 0.3, the worst of Mitsuba's settings."""
+    found = curves.targets([0.4, 0.2, 0.05], [[0.3, 0.01], [0.2, 0.02]])
+    assert len(found) == 3
+    assert 0.3 > found[0] > found[1] > found[2] > 0.05
+
+
+def test_curves_that_do_not_meet_have_no_targets():
+    assert curves.targets([0.4, 0.3], [[0.2, 0.1]]) == ()
+    assert curves.targets([0.0, 0.0], [[0.0, 0.0]]) == ()
+
+
+def test_the_error_of_the_truth_is_taken_away():
+    """Mean squares of 0.05 about a truth that is itself 0.01 off: the error is the root of 0.04."""
+    square = np.array([[0.04, 0.005], [0.06, 0.007]])
+    assert curves.pooled(square, 0.01) == pytest.approx([0.2, 0.0])
+
+
+def test_the_truth_leans_on_the_quieter_side():
+    """Variance of the mean over runs: (1 + 1) / (2 - 1) / 2 = 1 for 1 and 3."""
+    mean, noise = terms._mean_and_noise(np.array([1.0, 3.0]).reshape(2, 1, 1, 1))
+    assert (float(mean.squeeze()), noise) == (2.0, 1.0)
+
+
+def test_every_right_estimator_is_a_case():
+    """Direct twice, by scope; with all bounces a kernel estimate and an unbiased one."""
+    found = list(terms.cases(("cornell_box", "monkey"), ("ambient", "direct", "specular"), 8))
+    assert [(case.scene.name, case.variant.term, case.scope, case.label) for case in found] == [
+        ("cornell_box", "ambient", None, "cosine"),
+        ("cornell_box", "direct", "first-hit", "next-event"),
+        ("cornell_box", "direct", "all", "next-event"),
+        ("cornell_box", "direct", "all", "path"),
+        ("cornell_box", "specular", "first-hit", "vndf"),
+        ("monkey", "ambient", None, "cosine"),
+        ("monkey", "direct", "first-hit", "next-event"),
+        ("monkey", "direct", "all", "next-event"),
+        ("monkey", "direct", "all", "path"),
+        ("monkey", "specular", "all", "vndf+next-event"),
+        ("monkey", "specular", "all", "vndf+path"),
+    ]
+    assert [case.kernel_based for case in found if case.label == "next-event"] == [False, True] * 2
+    assert set(terms.TERMS) < set(TERMS)
+
+
+def test_spread_is_median_and_ends():
+    assert common.spread([3.0, 1.0, 2.0, 10.0]) == (2.5, 1.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["terms", "--scene", "teapot"], ["scene = 'teapot'", "two_cubes", "monkey"]),
+        (["terms", "--term", "glow"], ["term = 'glow'", "ambient, direct, specular"]),
+        (["terms", "--term", "background"], ["term = 'background'", "ambient, direct, specular"]),
+        (["terms", "--runs", "0"], ["runs = 0", "at least 1"]),
+        (["terms", "--resolution", "-1"], ["resolution = -1", "at least 1"]),
+        (["terms", "--seconds", "0"], ["seconds = 0.0", "(0, inf)"]),
+        (["terms", "--seconds", "nan"], ["seconds = nan", "(0, inf)"]),
+        (["terms", "--threads", "0"], ["threads = 0", "at least 1"]),
+        (["terms", "--out", "file"], ["file/bench", "Not a directory"]),
+        (["scaling", "--axis", "depth"], ["axis = 'depth'", "triangles", "threads"]),
+        (["scaling", "--runs", "0"], ["runs = 0", "at least 1"]),
+        (["scaling", "--threads", "-2"], ["threads = -2", "at least 1"]),
+        (["rays", "--mesh", "teapot"], ["mesh = 'teapot'", "boxes"]),
+        (["rays", "--pairs", "0"], ["pairs = 0", "at least 1"]),
+        (["rays", "--count", "0"], ["count = 0", "at least 1"]),
+    ],
+)
+def test_bad_input_is_one_line(arguments, named, monkeypatch, capsys, tmp_path):
+    """Exit status 2, and a line that names field, value and what is allowed."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("not a folder\n")
+    monkeypatch.setattr("sys.argv", ["termwise", "bench", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    captured = capsys.readouterr()
+    assert ended.value.code == 2
+    assert captured.out == ""
+    assert len(captured.err.splitlines()) == 1
+    for words in named:
+        assert words in captured.err
+
+
+def test_a_tiny_scaling_run_says_all(monkeypatch, tmp_path):
+    """One load of 4 x 4 pixels on two axes, in processes of their own: times, memory, and threads beside processes."""
+    tiny = scaling.Axis(
+        {16: Load("two_cubes", "ambient", resolution=4, samples=2)}, "sample", lambda load: 32
+    )
+    monkeypatch.setattr(scaling, "AXES", {"pixels": tiny, "threads": tiny})
+    assert cli.scaling(axis=["pixels", "threads"], runs=2, threads=2, out=tmp_path) == 0
+    measured = json.loads((tmp_path / "bench" / "scaling.json").read_text("utf-8"))
+    assert [(case["axis"], case["value"], case.get("processes")) for case in measured["cases"]] == [
+        ("pixels", 16, None), ("threads", 1, 1), ("threads", 2, 1), ("threads", 2, 2),
+    ]  # fmt: skip
+    for case in measured["cases"]:
+        assert case["seconds_low"] <= case["seconds"] <= case["seconds_high"]
+        assert case["per_unit_ns"] == pytest.approx(1e9 * case["seconds"] / 32)
+        assert case["memory_mb"] >= case["memory_scene_mb"] >= case["memory_before_mb"] > 0
+        assert case["bytes_per_triangle"] > 0
+    assert measured["cases"][2]["of_processes"] > 0
+    assert set(measured["machine"]) >= {"processor", "cores", "threads", "load", "load_end", "versions"}
+    assert (tmp_path / "bench" / "index.html").is_file()
+
+
+def curve(side, setting, **facts):
+    common = {"scene": "monkey", "term": "direct", "scope": "all", "variant": "path <1>", "side": side}
+    points = {"samples": [1, 4], "rmse": [0.2, 0.1], "seconds": [0.1, 0.4]}
+    ends = {"seconds_low": [0.1, 0.3], "seconds_high": [0.2, 0.5]}
+    return common | {"setting": setting, "compile_seconds": 1.0} | points | ends | facts
+
+
+def made(folder, *names):
+    """Files of benchmarks as runs write them."""
+    case = {"scene": "monkey", "term": "direct", "scope": "all", "variant": "path <1>", "target_rmse": 0.15}
+    case |= {"ours_s": 0.2, "mitsuba_s": 0.3, "mitsuba_setting": "ldsampler rr", "speedup": 1.5}
+    case |= {
+        "speedup_low": 1.25,
+        "speedup_high": 2.0,
+        "floor": 0.01,
+        "truth_rmse": 0.001,
+        "truth_differs": 0.0,
+    }
+    rays = {"mesh": "boxes", "triangles": 36, "kind": "primary", "ours_mrays": 20.0, "mitsuba_mrays": 10.0}
+    rays |= {"ratio": 2.0, "ratio_low": 1.5, "ratio_high": 2.5, "ratio_processor": 2.1, "ratio_default": 1.1}
+    row = {"axis": "pixels", "seconds": 0.1, "seconds_low": 0.09, "seconds_high": 0.2, "unit": "sample"}
+    row |= {
+        "per_unit_ns": 900.0,
+        "memory_mb": 200.0,
+        "memory_scene_mb": 160.0,
+        "memory_before_mb": 150.0,
+        "bytes_per_triangle": 112.0,
+    }
+    found = {
+        "terms": {
+            "cases": [case],
+            "apart": [case | {"variant": "next-event"}],
+            "curves": [
+                curve("ours", "path <1>", floor=0.01),
+                curve("mitsuba", "ldsampler rr", kept=True, trace_seconds=0.01, load_seconds=0.1),
+                curve("mitsuba", "independent", kept=False, trace_seconds=0.02, load_seconds=0.1),
+            ],
+            "settings": {"resolution": 64, "runs": 3, "seconds": 0.5},
+        },
+        "rays": {"cases": [rays], "builds": []},
+        "scaling": {
+            "cases": [
+                row | {"value": 16},
+                row | {"value": 64},
+                row | {"axis": "threads", "value": 2, "processes": 1, "of_processes": 0.97}
+                | {"of_processes_low": 0.9, "of_processes_high": 1.0},
+                row | {"axis": "threads", "value": 2, "processes": 2},
+            ],
+            "settings": {"runs": 3},
+        },
+    }  # fmt: skip
+    for name in names:
+        text = json.dumps(found[name] | {"machine": MACHINE, "command": f"termwise bench {name}"})
+        (folder / f"{name}.json").write_text(text)
+
+
+@pytest.mark.parametrize("names", [("terms",), ("rays",), ("scaling",), ("terms", "rays", "scaling")])
+def test_the_page_shows_whatever_exists(names, tmp_path):
+    made(tmp_path, *names)
+    text = page.write(tmp_path).read_text("utf-8")
+    for name in page.NAMES:
+        assert (f'id="{name}"' in text) == (name in names)
+        assert (f"termwise bench {name}" in text) == (name in names)
+    assert "a &lt;fast&gt; one" in text
+    assert "http" not in text
+    if "terms" in names:
+        assert "path &lt;1&gt;" in text
+        assert "[1.2, 2.0]" in text  # two digits, halves to even
+        assert "No error that both sides reach: monkey, direct next-event" in text
+    if "rays" in names:
+        assert "[1.5, 2.5]" in text
+    if "scaling" in names:
+        assert "0.97" in text
+        assert "2 processes" in text
+    assert (tmp_path / "plotly.min.js").is_file() == (tmp_path / "charts.js").is_file() is True
+
+
+def test_an_empty_folder_or_a_broken_file_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"no benchmark: allowed are terms.json, rays.json, scaling.json"):
+        page.write(tmp_path)
+    (tmp_path / "rays.json").write_text("{")
+    with pytest.raises(ValueError, match=r"rays\.json.*termwise bench rays"):
+        page.write(tmp_path)
+    (tmp_path / "rays.json").write_text('{"cases": [{"mesh": "boxes"}]}')
+    with pytest.raises(ValueError, match="another version"):
+        page.write(tmp_path)
