@@ -39,7 +39,7 @@ def see(
     Rays through one point of the pixel are one ray: it is traced for the first sample alone.
     """
     sights = scratch.sights
-    if scene.camera.rule == JITTER:
+    if scene.camera.rule == JITTER or not scene.skips.pixel:
         for i in range(count):
             ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, x, y, start + i))
             put_ray(sights, i, ray.origin, ray.direction)

@@ -21,7 +21,7 @@ from renderer.geometry.intersect import make_ray
 from renderer.jit import device, kernel
 from renderer.lights import pick
 from renderer.microfacet import sample_lobe
-from renderer.photon_map import PhotonMap, build
+from renderer.photon_map import PhotonMap, build, empty
 from renderer.rng import fold, stream
 from renderer.scratch import PHOTONS, Scratch, new_scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
@@ -215,6 +215,8 @@ def emit(
     pool : the chunks run here; their order, hence the map, does not depend on the number of threads.
     counts : the work done is added here, see `renderer.scratch`.
     """
+    if len(scene.emitters.cdf) == 0:
+        return empty(radius)
     photons_key = stream(stream(key, _STREAM), index)
 
     def chunk(first: int) -> tuple[np.ndarray, ...]:
