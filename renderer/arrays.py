@@ -4,12 +4,14 @@ What a kernel may assume is written here. All floats are float64, all indices in
 """
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
 
 from renderer.geometry import bvh
 from renderer.geometry.bvh import Tree
+from renderer.openness import open_sides
 from renderer.vector import Vec3
 from scenes.model import Camera, PointLight, Scene
 
@@ -48,6 +50,7 @@ class Materials(NamedTuple):
     alpha : (O,), Beckmann roughness.
     f0 : (O, 3), Schlick's reflectance at normal incidence.
     emission : (O, 3), radiance of the front side.
+    open : (O, 2) bool, whether nothing can lie within the ambient range of the object's front, and of its back.
     """
 
     color: np.ndarray
@@ -56,6 +59,7 @@ class Materials(NamedTuple):
     alpha: np.ndarray
     f0: np.ndarray
     emission: np.ndarray
+    open: np.ndarray
 
 
 class Emitters(NamedTuple):
@@ -112,6 +116,16 @@ class CameraArrays(NamedTuple):
 PIXEL_RULES = ("corner", "centre", "jitter")
 
 
+class Skips(NamedTuple):
+    """The skips that are decided at a hit, see `renderer.plan.SKIPS`; False: the work is done in vain."""
+
+    occlusion: bool
+    diffuse: bool
+    horizon: bool
+    throughput: bool
+    pixel: bool
+
+
 class SceneArrays(NamedTuple):
     """All that a kernel sees of a scene; `ambient_range` 0 means that ambient occlusion is off.
 
@@ -134,17 +148,18 @@ class SceneArrays(NamedTuple):
     face_forward: bool
     watertight: bool
     draw_lights: bool
+    skips: Skips
 
 
-def from_scene(scene: Scene) -> SceneArrays:
-    """Flatten a validated scene and build its tree."""
+def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
+    """Flatten a validated scene and build its tree; `without` names skips that are not taken."""
     geometry = _geometry(scene)
     return SceneArrays(
         geometry,
-        _materials(scene),
+        _materials(scene, without),
         _emitters(scene, geometry),
         _shadow_rule(scene),
-        _sky(scene),
+        _sky(scene, without),
         _camera(scene.camera, scene.resolution),
         Vec3(*scene.ambient.color),
         scene.occlusion_range,
@@ -155,6 +170,7 @@ def from_scene(scene: Scene) -> SceneArrays:
         scene.normals == "viewer",
         scene.intersection == "watertight",
         scene.draw_lights,
+        Skips(*(name not in without for name in Skips._fields)),
     )
 
 
@@ -190,7 +206,7 @@ def _geometry(scene: Scene) -> Geometry:
     )
 
 
-def _materials(scene: Scene) -> Materials:
+def _materials(scene: Scene, without: Collection[str]) -> Materials:
     surfaces = [thing.surface for thing in scene.objects]
     lit = scene.toggles.lighting
     return Materials(
@@ -200,6 +216,7 @@ def _materials(scene: Scene) -> Materials:
         np.array([surface.roughness for surface in surfaces]).reshape(-1),
         np.array([surface.f0 for surface in surfaces]).reshape(-1, 3),
         np.array([thing.emission if lit else (0.0, 0.0, 0.0) for thing in scene.objects]).reshape(-1, 3),
+        np.zeros((len(surfaces), 2), np.bool_) if "open" in without else open_sides(scene),
     )
 
 
@@ -232,13 +249,14 @@ def _shadow_rule(scene: Scene) -> ShadowRule:
     )
 
 
-def _sky(scene: Scene) -> SkyArrays:
+def _sky(scene: Scene, without: Collection[str]) -> SkyArrays:
     sky = scene.sky
+    color = sky.color
     texture = np.zeros((0, 0, 3)) if sky.texture is None else sky.texture.astype(np.float64)
+    if sky.texture is not None and sky.is_black and "texture" not in without:
+        color, texture = (0.0, 0.0, 0.0), np.zeros((0, 0, 3))
     equal_area = sky.projection == "equal-area"
-    return SkyArrays(
-        Vec3(*sky.color), np.ascontiguousarray(texture), Vec3(*sky.center), sky.radius, equal_area
-    )
+    return SkyArrays(Vec3(*color), np.ascontiguousarray(texture), Vec3(*sky.center), sky.radius, equal_area)
 
 
 def _camera(camera: Camera, resolution: tuple[int, int]) -> CameraArrays:

@@ -54,6 +54,7 @@ def see(
     their pixel are one ray, traced for its first sample alone.
     """
     sights = scratch.sights
+    free = scene.camera.rule == JITTER or not scene.skips.pixel
     samples = last - first
     count = min(SIZE, samples_of_row(tile, first, last) - start)
     x = tile.x0 + start // samples
@@ -64,10 +65,10 @@ def see(
             index = first
         scratch.x[i] = x
         scratch.index[i] = index
-        if scene.camera.rule == JITTER or index == first:
+        if free or index == first:
             ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, y, i, scratch))
             put_ray(sights, i, ray.origin, ray.direction)
-            if scene.camera.rule != JITTER:
+            if not free:
                 put_hit(sights, i, closest(scene, ray, math.inf, -1, scratch))
         else:
             # Before sight 0 comes the last one of the 8 before.
@@ -75,7 +76,7 @@ def see(
             put_ray(sights, i, vec3(sights.origins, before), vec3(sights.directions, before))
             put_hit(sights, i, hit_of(sights, before))
         index += 1
-    if scene.camera.rule == JITTER:
+    if free:
         trace_group(scene, sights, count, scratch)
     return count
 

@@ -60,13 +60,13 @@ def sample_light(
         direction = sub(point_on_face(scene.geometry, target, b1, b2), surface.point)
         cos_light = -dot(vec3(scene.geometry.normals, target), direction)
         if cos_light <= 0.0:
-            return black, black, -1
+            return black, direction, target
         radiant = vec3(scene.materials.emission, scene.geometry.object[target])
         strength = INV_PI * emitters.area[index - points] * cos_light / (length(direction) * probability)
     # `direction` is not normalised: each cosine carries one factor of the distance.
     cos_surface = dot(surface.normal, direction)
     if cos_surface <= 0.0:
-        return black, black, -1
+        return black, direction, target
     square = dot(direction, direction)
     strength *= cos_surface / (square * math.sqrt(square))
     return scale(radiant, strength), direction, target
@@ -78,6 +78,8 @@ def light_irradiance(
 ) -> Vec3:
     """E / pi at a surface, one sample; uses the pairs `dimension` and `dimension + 1`."""
     irradiance, direction, target = sample_light(scene, surface, sampler, dimension)
-    if is_black(irradiance) or occluded(scene, surface, direction, 1.0, target, scratch):
+    if scene.skips.horizon and is_black(irradiance):
+        return irradiance
+    if occluded(scene, surface, direction, 1.0, target, scratch):
         return Vec3(0.0, 0.0, 0.0)
     return irradiance

@@ -22,7 +22,7 @@ from renderer.geometry.intersect import make_ray
 from renderer.jit import device, kernel
 from renderer.lights import pick
 from renderer.microfacet import sample_lobe
-from renderer.photon_map import PhotonMap, build
+from renderer.photon_map import PhotonMap, build, empty
 from renderer.rng import fold, stream
 from renderer.scratch import PHOTONS, Scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
@@ -216,6 +216,8 @@ def emit(
     pool : the chunks run here; their order, hence the map, does not depend on the number of threads.
     scratch : gives the calling thread its memory.
     """
+    if len(scene.emitters.cdf) == 0:
+        return empty(radius)
     photons_key = stream(stream(key, _STREAM), index)
 
     def chunk(first: int) -> tuple[np.ndarray, ...]:

@@ -1,23 +1,65 @@
 """What a scene needs: every piece of work, whether it runs, and why not where it does not.
 
-A skip is work that cannot contribute: the image is the same to the bit without it.
+Two kinds of saving, never mixed. A **skip** is work that cannot contribute: the image is the same to the byte without
+it. Each is a row of SKIPS and can be switched off (`Engine(scene, without=...)`), which is how the tests prove it. An
+**economy** takes fewer samples for the same expectation. A **reuse** takes a result that exists.
 """
 
-import attrs
+import math
+from collections.abc import Callable, Collection
+from typing import Literal
 
+import attrs
+import numpy as np
+
+from renderer.openness import open_sides
 from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
 from scenes.terms import TERMS, Term
 
+Kind = Literal["runs", "skip", "economy", "reuse"]
+
+
+@attrs.frozen
+class Skip:
+    """Work that cannot contribute.
+
+    Attributes
+    ----------
+    work : what is not done.
+    why : why the image has the same bytes without it.
+    reason : scene, variant, chain -> why it applies there, or None; of a skip that is decided at each hit, where.
+    """
+
+    name: str
+    work: str
+    why: str
+    reason: Callable[[Scene, Variant, Chain], str | None]
+
 
 @attrs.frozen
 class Step:
-    """One piece of work; `reason` says why it runs or why it is skipped."""
+    """One piece of work of a term.
+
+    Attributes
+    ----------
+    kind : "runs", or how the work is saved.
+    reason : why it runs, or why it need not.
+    saved : the count of work saved, by name of `renderer.scratch.COUNTERS`; empty where it cannot be told beforehand.
+    at_most : whether `saved` is a bound: what misses the scene, or is black, would have cost less.
+    """
 
     term: Term
     work: str
-    runs: bool
+    kind: Kind
     reason: str
+    saved: dict[str, int] = attrs.field(factory=dict)
+    at_most: bool = False
+
+    @property
+    def runs(self) -> bool:
+        """Whether the work is done."""
+        return self.kind == "runs"
 
 
 def _first(*cases: tuple[bool, str]) -> str | None:
@@ -82,26 +124,232 @@ def check(scene: Scene, variant: Variant, *, chain: Chain = "next-event") -> Non
         )
 
 
-def needs_photons(scene: Scene, variant: Variant, chain: Chain) -> Stored | None:
+def needs_photons(
+    scene: Scene, variant: Variant, chain: Chain, *, without: Collection[str] = ()
+) -> Stored | None:
     """Which photons the maps of a variant hold; None where no map is needed."""
-    return variant.photons(scene, chain) if skipped(scene, "direct") is None else None
+    needed = "photons" in without or skipped(scene, "direct") is None
+    return variant.photons(scene, chain) if needed else None
 
 
-def plan(scene: Scene, variants: dict[Term, Variant], *, chain: Chain = "next-event") -> tuple[Step, ...]:
-    """The steps of rendering `scene` with the given variants."""
-    steps = []
-    for term in TERMS:
-        reason = skipped(scene, term)
-        variant = variants[term]
-        steps.append(
-            Step(term, f"kernel {variant.name}", reason is None, reason or "the scene has this term")
-        )
-        if term == "ambient":
-            off = reason or (None if scene.occlusion_range else "ambient occlusion is off: L_a0 everywhere")
-            steps.append(Step(term, "occlusion rays", off is None, off or "one a sample"))
-        if variant.photons(scene, chain) or term == "direct":
-            kept = needs_photons(scene, variant, chain)
-            why = f"{scene.photons.count} photons a pass, {kept} kept"
-            off = reason or skipped(scene, "direct") or "the scope is first-hit, or the estimator is a path"
-            steps.append(Step(term, "photon maps", kept is not None and reason is None, why if kept else off))
-    return tuple(steps)
+def may_see(scene: Scene) -> np.ndarray:
+    """Pixels whose rays may meet an object, (H, W) bool; the others see the sky, for certain.
+
+    Those in the box around the projection of an object, clipped to what lies before the camera.
+    """
+    width, height = scene.resolution
+    # The paper's intersection has absolute tolerances: it may find what is not there.
+    seen = np.full((height, width), scene.intersection != "watertight")
+    right, up, forward = scene.camera.frame()
+    pixels = width / (2.0 * math.tan(math.radians(scene.camera.fov) / 2.0))
+    slack = 1e-3  # of a pixel
+
+    def span(values: np.ndarray, size: int) -> slice:
+        low, high = np.clip((values.min() - slack, values.max() + slack), -1.0, size + 1.0)
+        return slice(max(0, math.floor(low)), max(0, math.floor(high) + 1))
+
+    for thing in scene.objects:
+        x, y, depth = (np.stack([right, -up, forward]) @ (thing.mesh.vertices - scene.camera.position).T)[
+            :, thing.mesh.faces.T
+        ]
+        near = 1e-9 * np.abs(depth).max()
+        # Where an edge goes through the plane of the camera, the point just before it takes its place.
+        begin, end = [0, 1, 2], [1, 2, 0]
+        before, after = depth[begin] - near, depth[end] - near
+        crossing = before * after < 0.0
+        share = np.divide(before, before - after, out=np.zeros_like(before), where=crossing)
+        points = [
+            np.concatenate([axis[depth >= near], (axis[begin] + share * (axis[end] - axis[begin]))[crossing]])
+            for axis in (x, y)
+        ]
+        depths = np.concatenate([depth[depth >= near], np.full(np.count_nonzero(crossing), near)])
+        if len(depths):
+            across = 0.5 * width + pixels * points[0] / depths
+            down = 0.5 * height + pixels * points[1] / depths
+            seen[span(down, height), span(across, width)] = True
+    return seen
+
+
+def needs_every_pixel(scene: Scene, term: Term) -> bool:
+    """Whether a term has to be sampled where no object can be seen."""
+    return term == "background" and scene.sky.texture is not None and not scene.sky.is_black
+
+
+def _names(names: list[str]) -> str:
+    return ", ".join(names) or "none"
+
+
+def _black(scene: Scene) -> list[str]:
+    return [thing.name for thing in scene.objects if not any(scene.diffuse_weight(thing.surface))]
+
+
+def _open(scene: Scene) -> list[str]:
+    sides = open_sides(scene)
+    said = {(True, True): "", (True, False): " (front)", (False, True): " (back)"}
+    return [
+        thing.name + said[front, back]
+        for thing, (front, back) in zip(scene.objects, sides.tolist(), strict=True)
+        if (front or back) and any(scene.diffuse_weight(thing.surface))
+    ]
+
+
+def _window(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    count = np.count_nonzero(~may_see(scene))
+    if not count or needs_every_pixel(scene, variant.term):
+        return None
+    seen = "the constant sky" if variant.term == "background" else "no object"
+    return f"{count} of {scene.resolution[0] * scene.resolution[1]} pixels see {seen} for certain"
+
+
+def _pixel(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    # With a photon map a sample a kernel is called for each sample.
+    if scene.camera.pixel == "jitter" or needs_photons(scene, variant, chain):
+        return None
+    return f"all rays of a pixel go through its {scene.camera.pixel}"
+
+
+def _texture(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    if variant.term not in ("background", "specular"):
+        return None
+    return _first(
+        (scene.sky.texture is None, "the sky is a constant"),
+        (scene.sky.is_black, "every texel of the sky is black"),
+    )
+
+
+def _occlusion(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    # At the vertices of a specular chain as well.
+    if variant.term not in ("ambient", "specular"):
+        return None
+    return _first(
+        (not scene.occlusion_range, "ambient occlusion is off: L_a0 everywhere"),
+        (variant.name == "constant", "the variant is L_a0 itself"),
+        (not any(scene.ambient.color), "the ambient light is black"),
+    )
+
+
+def _openness(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    cosine = variant.name == "cosine" or (variant.term == "specular" and chain != "paper")
+    if not cosine or _occlusion(scene, variant, chain) or not _open(scene):
+        return None
+    return f"nothing lies within the range of {_names(_open(scene))}: AO = 1"
+
+
+def _diffuse(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    if variant.term == "background" or not _black(scene):
+        return None
+    return f"color (1 - gloss) = 0: {_names(_black(scene))}"
+
+
+def _horizon(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    samples_lights = variant.name in ("next-event", "path") or (
+        variant.term == "specular" and chain != "paper"
+    )
+    if not samples_lights or skipped(scene, "direct"):
+        return None
+    return "the light is below the horizon, or shows its back"
+
+
+def _maps(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    if variant.photons(scene, chain) is None:
+        return None
+    return skipped(scene, "direct")
+
+
+def _throughput(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    return "where a chain's weight is 0" if variant.term == "specular" else None
+
+
+SKIPS: dict[str, Skip] = {
+    skip.name: skip
+    for skip in (
+        Skip(
+            "term",
+            "the whole term, its kernel not even compiled",
+            "a weight that is 0 everywhere",
+            lambda scene, variant, chain: skipped(scene, variant.term),
+        ),
+        Skip(
+            "photons", "photon maps", "no photon, or none that a surface would scatter to the camera", _maps
+        ),
+        Skip(
+            "window", "pixels without an object", "no ray through them meets the box of the vertices", _window
+        ),
+        Skip("pixel", "a pixel's camera rays but the first", "they are one ray", _pixel),
+        Skip("texture", "lookups of the sky's texture", "all texels are the constant", _texture),
+        Skip("occlusion", "occlusion rays", "their result is not used", _occlusion),
+        Skip("open", "occlusion rays of open surfaces", "no face lies within reach", _openness),
+        Skip("diffuse", "ambient and direct light on black surfaces", "the weight is 0", _diffuse),
+        Skip("horizon", "shadow rays to a light that cannot shine there", "a cosine is 0", _horizon),
+        Skip("throughput", "the rest of a chain", "the factor on it is 0", _throughput),
+    )
+}
+
+
+def plan(
+    scene: Scene,
+    variants: dict[Term, Variant],
+    *,
+    chain: Chain = "next-event",
+    samples: int = 1,
+    without: Collection[str] = (),
+) -> tuple[Step, ...]:
+    """The steps of rendering `scene` with the given variants, `samples` a pixel."""
+    return tuple(
+        step for term in TERMS for step in _steps(scene, variants[term], chain, samples, frozenset(without))
+    )
+
+
+def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: frozenset[str]) -> list[Step]:
+    term = variant.term
+    pixels = scene.resolution[0] * scene.resolution[1]
+    rays = samples * pixels
+    applied = {
+        name: reason
+        for name, skip in SKIPS.items()
+        if name not in without and (reason := skip.reason(scene, variant, chain))
+    }
+    kernel = f"kernel {variant.driver.__name__.strip('_')} ({variant.name})"
+    if "term" in applied:
+        return [Step(term, kernel, "skip", applied["term"], {"rays": rays}, at_most=False)]
+    steps = [Step(term, kernel, "runs", "the scene has this term")]
+    outside = samples * int(np.count_nonzero(~may_see(scene)))
+
+    def skip(name: str, work: str, *, at_most: bool = False, **saved: int) -> None:
+        counts = {counter.replace("_", " "): count for counter, count in saved.items()}
+        steps.append(Step(term, work, "skip", applied[name], counts, at_most))
+
+    if "window" in applied:
+        skip("window", "pixels without objects", rays=outside)
+    if "pixel" in applied:
+        calls = 1 + (samples - 1).bit_length()  # of the kernel, one a prefix
+        skip("pixel", "a pixel's further camera rays", at_most=True, rays=(samples - calls) * pixels)
+    if term == "ambient":
+        if "occlusion" in applied:
+            skip("occlusion", "occlusion rays", at_most=True, occlusion_rays=rays)
+        else:
+            steps.append(Step(term, "occlusion rays", "runs", "one a sample that hits"))
+    if "open" in applied:
+        skip("open", "open surfaces")
+    if "diffuse" in applied:
+        skip("diffuse", "black surfaces")
+    if "horizon" in applied:
+        steps.append(Step(term, "shadow rays", "runs", "one a light sample"))
+        skip("horizon", "unlit shadow rays")
+    stored = variant.photons(scene, chain)
+    if "photons" in applied:
+        skip("photons", "photon maps", photons=samples * scene.photons.count)
+    elif stored:
+        why = f"{scene.photons.count} photons a pass, {stored} kept, radius {scene.photons.radius:g} at first"
+        steps.append(Step(term, "photon maps", "runs", why))
+    elif term == "direct":
+        why = "first hits need none" if variant.name != "path" else "paths follow the light's bounces"
+        steps.append(Step(term, "photon maps", "skip", why, {"photons": samples * scene.photons.count}))
+    if term in ("background", "specular") and not scene.sky.is_black:
+        if "texture" in applied:
+            skip("texture", "sky texture")
+        else:
+            steps.append(Step(term, "sky texture", "runs", f"{scene.sky.projection}, bilinear"))
+    if "throughput" in applied:
+        skip("throughput", "black chains")
+    return steps

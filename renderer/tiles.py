@@ -6,7 +6,7 @@ Sweeps are prefixes: the sums after 1, 2, 4, ... samples of one run, so that a s
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -15,7 +15,7 @@ from renderer import photon_map, photon_tracing
 from renderer.arrays import SceneArrays, from_scene
 from renderer.film import GeometryImages, Tile, trace_centres
 from renderer.jit import warm
-from renderer.plan import check, needs_photons, skipped
+from renderer.plan import SKIPS, check, may_see, needs_every_pixel, needs_photons, skipped
 from renderer.rng import root
 from renderer.scratch import COUNTERS, Scratch, new_scratch
 from renderer.terms.variant import Chain, Stored, Variant
@@ -40,15 +40,20 @@ def powers_of_two(samples: int) -> tuple[int, ...]:
     return (*(2**i for i in range((samples - 1).bit_length())), samples)
 
 
-def _tiles(width: int, height: int, *, least: int) -> list[Tile]:
+def _tiles(wanted: np.ndarray, *, least: int) -> list[Tile]:
+    """Tiles that hold the wanted pixels (H, W) bool; at least `least` of them, if the image is large enough."""
+    height, width = wanted.shape
     side = TILE
     while side > _SMALLEST and -(-width // side) * -(-height // side) < least:
         side //= 2
-    return [
-        Tile(x, y, min(x + side, width), min(y + side, height))
-        for y in range(0, height, side)
-        for x in range(0, width, side)
-    ]
+    tiles = []
+    for y in range(0, height, side):
+        for x in range(0, width, side):
+            rows, columns = np.nonzero(wanted[y : y + side, x : x + side])
+            if len(rows):
+                x0, y0 = x + int(columns.min()), y + int(rows.min())
+                tiles.append(Tile(x0, y0, x + int(columns.max()) + 1, y + int(rows.max()) + 1))
+    return tiles
 
 
 class Engine:
@@ -58,20 +63,36 @@ class Engine:
     ----------
     scene : the scene.
     threads : number of threads; None: one a core.
+    without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work.
+
+    Attributes
+    ----------
+    kernels : names of the kernels that were compiled, or loaded, for this scene.
+    compile_seconds : how long that took.
     """
 
-    def __init__(self, scene: Scene, *, threads: int | None = None) -> None:
+    def __init__(self, scene: Scene, *, threads: int | None = None, without: Collection[str] = ()) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads = {threads}: allowed is at least 1")
+        for name in without:
+            if name not in SKIPS:
+                raise ValueError(f"without = {name!r}: allowed are {', '.join(SKIPS)}")
         self.scene = scene
-        self.arrays: SceneArrays = from_scene(scene)
+        self.without = frozenset(without)
+        self.arrays: SceneArrays = from_scene(scene, without=self.without)
         threads = threads or os.cpu_count() or 1
         self.pool = ThreadPoolExecutor(threads)
         self.compile_seconds = 0.0
         # One of each thread, made once: 14 µs each, a tenth of a tile of 32 x 32 pixels at one sample.
         self._scratches: list[Scratch] = []
         self._local = threading.local()
-        self.tiles = _tiles(*scene.resolution, least=_TILES_A_THREAD * threads)
+        self.kernels: set[str] = set()
+        width, height = scene.resolution
+        everywhere = np.ones((height, width), np.bool_)
+        least = _TILES_A_THREAD * threads
+        self._everywhere = _tiles(everywhere, least=least)
+        # Those that may see an object: all terms but a textured sky are zero, or constant, in the others.
+        self.tiles = _tiles(everywhere if "window" in self.without else may_see(scene), least=least)
 
     def __enter__(self) -> "Engine":
         """Return the engine; its threads end with the block."""
@@ -115,14 +136,15 @@ class Engine:
         check(self.scene, variant, chain=chain)
         width, height = self.scene.resolution
         out = np.zeros((height, width, 3))
-        if skipped(self.scene, variant.term) is not None:
+        if "term" not in self.without and skipped(self.scene, variant.term) is not None:
             yield from ((count, out.copy(), 0.0) for count in powers_of_two(samples))
             return
         key = root(seed, replicate)
-        stored = needs_photons(self.scene, variant, chain)
+        stored = needs_photons(self.scene, variant, chain, without=self.without)
         photons = photon_map.empty()
         # Each pass has its own radius, hence its own map.
         per_map = _CHAINS_A_MAP if chain == "paper" and variant.term == "specular" else 1
+        tiles = self._everywhere if needs_every_pixel(self.scene, variant.term) else self.tiles
         seconds = 0.0
         done = 0
         self._warm(variant, chain, stored, key, out)
@@ -137,13 +159,27 @@ class Engine:
                     emitted = self.scene.photons.count
                     photons = self._photons(variant, chain, stored, key, number, emitted, self._scratch)
                 inputs = variant.inputs(self.scene, chain, photons)
-                self._run(variant, inputs, key, first, last, out, cancel)
+                self._run(variant, inputs, key, first, last, tiles, out, cancel)
+                if tiles is self.tiles and variant.term == "background":
+                    self._add_sky(out, last - first)
                 first = last
                 if progress:
                     progress(last, samples)
             done = count
             seconds += time.perf_counter() - start
             yield count, out / count, seconds
+
+    def _add_sky(self, out: np.ndarray, samples: int) -> None:
+        """What `samples` of a constant sky add beyond the window, rounded as a kernel's sum is."""
+        beyond = np.ones(out.shape[:2], np.bool_)
+        for tile in self.tiles:
+            beyond[tile.y0 : tile.y1, tile.x0 : tile.x1] = False
+        if self.scene.sky.texture is not None or not beyond.any():
+            return
+        sky, summed = np.array(self.scene.sky.color), out[beyond][0]
+        for _ in range(samples):
+            summed = summed + sky
+        out[beyond] = summed
 
     def geometry(self) -> GeometryImages:
         """Depth, normal, object and face along the rays through the pixels' centres."""
@@ -156,7 +192,7 @@ class Engine:
         def draw(tile: Tile) -> None:
             trace_centres(self.arrays, tile, images, self._scratch())
 
-        for _ in self.pool.map(draw, self.tiles):
+        for _ in self.pool.map(draw, self._everywhere):
             pass
         return images
 
@@ -167,6 +203,7 @@ class Engine:
         key: np.uint64,
         first: int,
         last: int,
+        tiles: list[Tile],
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
@@ -175,7 +212,7 @@ class Engine:
                 raise Cancelled
             variant.driver(self.arrays, *inputs, key, first, last, tile, out, self._scratch())
 
-        for _ in self.pool.map(draw, self.tiles):
+        for _ in self.pool.map(draw, tiles):
             pass
 
     def _warm(
@@ -183,12 +220,14 @@ class Engine:
     ) -> None:
         """Compile before the clock starts."""
         start = time.perf_counter()
+        self.kernels.add(variant.driver.__name__.strip("_"))
         photons = photon_map.empty()
         if stored:
+            self.kernels.add("trace_photons")
             # Its photon does not count.
             photons = self._photons(variant, chain, stored, key, 0, 1, new_scratch)
         inputs = variant.inputs(self.scene, chain, photons)
-        warm(variant.driver, self.arrays, *inputs, key, 0, 1, self.tiles[0], out, self._scratch())
+        warm(variant.driver, self.arrays, *inputs, key, 0, 1, self._everywhere[0], out, self._scratch())
         self.compile_seconds += time.perf_counter() - start
 
     def _photons(

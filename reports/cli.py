@@ -295,26 +295,49 @@ def reference(
 
 
 @app.command
-def plan(scene: str, *, json_: Annotated[Json, Parameter(name="--json")] = False) -> int:
-    """Say what a scene needs: what runs, what is skipped, and why.
+def plan(
+    scene: str,
+    *,
+    samples: Integer = 16,
+    resolution: tuple[int, int] | None = None,
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Say what a scene needs: what runs, what is skipped, why, and how much work that saves.
 
     Parameters
     ----------
     scene
         A name of the library or the path of a scene file.
+    samples
+        Samples per pixel, for the counts of work.
+    resolution
+        Width and height, instead of the scene's.
     json_
         Print the plan as JSON on standard output.
     """
     from renderer.plan import plan as steps_of
     from renderer.terms import find
 
-    steps = steps_of(load(scene), {term: find(term) for term in TERMS})
+    if samples < 1:
+        raise ValueError(f"samples = {samples}: allowed is at least 1")
+    steps = steps_of(_scene(scene, resolution), {term: find(term) for term in TERMS}, samples=samples)
     if json_:
-        print(json.dumps({"scene": scene, "steps": [attrs.asdict(step) for step in steps]}))
+        found = [attrs.asdict(step) for step in steps]
+        print(json.dumps({"scene": scene, "samples": samples, "steps": found}))
         return 0
-    table = Table("term", "work", "runs", "why")
+    colours = {"runs": "", "skip": "green", "economy": "cyan", "reuse": "cyan"}
+    table = Table("term", "work", "", "why", "saved", box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    before = None
     for step in steps:
-        table.add_row(step.term, step.work, "yes" if step.runs else "skipped", step.reason)
+        saved = ", ".join(f"{count:,} {name}" for name, count in step.saved.items())
+        table.add_row(
+            step.term if step.term != before else "",
+            step.work,
+            f"[{colours[step.kind]}]{step.kind}[/]" if colours[step.kind] else step.kind,
+            step.reason,
+            f"at most {saved}" if saved and step.at_most else saved,
+        )
+        before = step.term
     _output.print(table)
     return 0
 

@@ -52,6 +52,12 @@ def sample_hemisphere(rule: int, rings: int, u: float, v: float) -> tuple[Vec3, 
 
 
 @device
+def ambient_reach(scene: SceneArrays, rule: int) -> float:
+    """Distance within which geometry hides the ambient light; 0: nothing does."""
+    return 0.0 if rule == CONSTANT else scene.ambient_range
+
+
+@device
 def sample_ambient(
     scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler
 ) -> tuple[Vec3, Vec3, bool]:
@@ -61,10 +67,19 @@ def sample_ambient(
     """
     share = scene.materials.color if dark else scene.materials.diffuse
     radiance = mul(vec3(share, surface.object), scene.ambient)
-    if is_black(radiance) or scene.ambient_range == 0.0 or rule == CONSTANT:
+    if scene.skips.diffuse and is_black(radiance):
         return radiance, surface.normal, False
+    unhidden = ambient_reach(scene, rule) == 0.0
+    if scene.skips.occlusion and unhidden:
+        return radiance, surface.normal, False
+    if rule == COSINE:
+        front = surface.side > 0.0 or not scene.face_forward
+        if scene.materials.open[surface.object, 0 if front else 1]:
+            return radiance, surface.normal, False
     u, v = sample_2d(sampler, OCCLUSION)
     local, weight = sample_hemisphere(rule, scene.rings, u, v)
+    if unhidden:
+        weight = 1.0
     return scale(radiance, weight), to_world(frame(surface.normal), local), True
 
 
@@ -74,7 +89,7 @@ def ambient_radiance(
 ) -> Vec3:
     """Ambient radiance of a surface by one occlusion ray, drawn by `rule`; `dark`: shadowed by the paper's rule."""
     radiance, direction, asks = sample_ambient(scene, rule, surface, dark, sampler)
-    if asks and occluded(scene, surface, direction, scene.ambient_range, -1, scratch):
+    if asks and occluded(scene, surface, direction, ambient_reach(scene, rule), -1, scratch):
         return Vec3(0.0, 0.0, 0.0)
     return radiance
 
@@ -106,7 +121,7 @@ def _occlusion(
                         scratch.lane[asking] = i
                         asking += 1
                 put(scratch.radiance, i, radiance)
-            occlude_group(scene, scratch.rays, asking, scene.ambient_range, False, scratch)
+            occlude_group(scene, scratch.rays, asking, ambient_reach(scene, rule), False, scratch)
             darken(scratch, asking)
             for i in range(count):
                 accumulate(out, scratch, y, i, vec3(scratch.radiance, i))

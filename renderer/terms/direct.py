@@ -44,7 +44,7 @@ def direct_next_event(
     With an empty map: E of the first hit, unbiased.
     """
     weight = vec3(scene.materials.diffuse, surface.object)
-    if is_black(weight):
+    if scene.skips.diffuse and is_black(weight):
         return weight
     straight = light_irradiance(scene, surface, sampler, LIGHT, scratch)
     return _reflected(scene, photons, surface, straight, scratch)
@@ -69,7 +69,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
     throughput = scale(vec3(scene.materials.diffuse, surface.object), scene.irradiance_factor)
     radiance = Vec3(0.0, 0.0, 0.0)
     vertex = 0
-    while not is_black(throughput):
+    while not is_black(throughput) or (vertex == 0 and not scene.skips.diffuse):
         radiance = add(radiance, mul(throughput, light_irradiance(scene, surface, sampler, LIGHT, scratch)))
         u, v = sample_2d(sampler, BOUNCE)
         direction = to_world(frame(surface.normal), square_to_cosine_hemisphere(u, v))
@@ -98,7 +98,7 @@ def direct_nearest(
 ) -> Vec3:
     """`factor` times the paper's estimate by the k nearest photons; k is the length of the scratch arrays."""
     weight = vec3(scene.materials.diffuse, surface.object)
-    if is_black(weight):
+    if scene.skips.diffuse and is_black(weight):
         return weight
     scratch.counts[DENSITY_ESTIMATES] += 1
     irradiance = nearest_irradiance(photons, surface, len(heap), heap, chosen)
@@ -125,7 +125,7 @@ def _next_event(
                 surface = surface_of(scene, scratch.sights, i)
                 if (
                     surface.face < 0
-                    or is_black(vec3(scene.materials.diffuse, surface.object))
+                    or (scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object)))
                     or shadowed(scene, surface, scratch)
                 ):
                     continue
@@ -133,7 +133,7 @@ def _next_event(
                 sampler = sampler_of(scene, key, y, i, scratch)
                 straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
                 put(scratch.radiance, i, straight)
-                if not is_black(straight):
+                if not (scene.skips.horizon and is_black(straight)):
                     put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
                     scratch.lane[asking] = i
                     asking += 1
@@ -178,15 +178,10 @@ def _photon_map(
                 surface = surface_of(scene, scratch.sights, i)
                 if surface.face >= 0 and not shadowed(scene, surface, scratch):
                     weight = vec3(scene.materials.diffuse, surface.object)
-                    if not is_black(weight):
+                    if not (scene.skips.diffuse and is_black(weight)):
                         irradiance = estimate_irradiance(scene, photons, surface, scratch)
-                        accumulate(
-                            out,
-                            scratch,
-                            y,
-                            i,
-                            scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor),
-                        )
+                        radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
+                        accumulate(out, scratch, y, i, radiance)
 
 
 @kernel

@@ -157,10 +157,10 @@ def _chain(
                         lobe, scene.rings, wo, scene.materials.alpha[material], f0, u, v
                     )
                     throughput = scale(mul(throughput, weight), gloss)
-                    if is_black(throughput):
+                    if scene.skips.throughput and is_black(throughput):
                         break
                     survival = min(1.0, max_component(throughput) / FAINT)
-                    if survival < 1.0:
+                    if 0.0 < survival < 1.0:
                         if sample_1d(sampler, ROULETTE) >= survival:
                             break
                         throughput = scale(throughput, 1.0 / survival)
