@@ -291,12 +291,15 @@ def plan(
     variants: dict[Term, Variant],
     *,
     chain: Chain = "next-event",
-    samples: int = 1,
+    samples: int | dict[Term, int] = 1,
     without: Collection[str] = (),
 ) -> tuple[Step, ...]:
-    """The steps of rendering `scene` with the given variants, `samples` a pixel."""
+    """The steps of rendering `scene` with the given variants, `samples` a pixel, for one replicate."""
+    counts = samples if isinstance(samples, dict) else dict.fromkeys(TERMS, samples)
     return tuple(
-        step for term in TERMS for step in _steps(scene, variants[term], chain, samples, frozenset(without))
+        step
+        for term in TERMS
+        for step in _steps(scene, variants[term], chain, counts[term], frozenset(without))
     )
 
 

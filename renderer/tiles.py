@@ -115,6 +115,13 @@ class Engine:
             self._scratches.append(self._local.scratch)
         return self._local.scratch
 
+    def kernels_of(self, variant: Variant, *, chain: Chain = "next-event") -> tuple[str, ...]:
+        """Names of the kernels that a variant takes here; none where its term is skipped."""
+        if "term" not in self.without and skipped(self.scene, variant.term) is not None:
+            return ()
+        traced = needs_photons(self.scene, variant, chain, without=self.without)
+        return (variant.driver.__name__.strip("_"), *(("trace_photons", "sort") if traced else ()))
+
     def prefixes(
         self,
         variant: Variant,
@@ -220,10 +227,9 @@ class Engine:
     ) -> None:
         """Compile before the clock starts."""
         start = time.perf_counter()
-        self.kernels.add(variant.driver.__name__.strip("_"))
+        self.kernels.update(self.kernels_of(variant, chain=chain))
         photons = photon_map.empty()
         if stored:
-            self.kernels.add("trace_photons")
             # Its photon does not count.
             photons = self._photons(variant, chain, stored, key, 0, 1, new_scratch)
         inputs = variant.inputs(self.scene, chain, photons)

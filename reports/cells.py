@@ -1,7 +1,8 @@
 """Cells (scene, term, variant): the replicate images of an estimator, computed once and kept on disk.
 
-A replicate is one file: the float32 means of the first 1, 2, 4, ... N samples, and the seconds that each took. Its name
-is the digest of all that decides its bits, so a run that was interrupted, or one with nothing changed, finds it again.
+A replicate is one file: the float32 means of the first 1, 2, 4, ... N samples, the seconds that each took, and the work
+that was done. Its name is the digest of all that decides its bits, so a run that was interrupted, or one with nothing
+changed, finds it again.
 """
 
 import hashlib
@@ -13,6 +14,7 @@ from pathlib import Path
 import attrs
 import numpy as np
 
+from renderer.scratch import COUNTERS
 from renderer.terms import Chain, Variant
 from renderer.tiles import Engine, powers_of_two
 from scenes.limits import Limit
@@ -38,6 +40,8 @@ class Cell:
     samples : (P,) the prefixes 1, 2, 4, ..., N.
     images : (K, P, H, W, 3) float32.
     seconds : (K, P) float64, wall-clock up to each prefix, compilation apart.
+    counts : work done for all replicates, by name of `renderer.scratch.COUNTERS`.
+    kernels : that it took.
     compile_seconds : spent compiling or loading kernels in this run; 0 where all replicates were found.
     """
 
@@ -46,6 +50,8 @@ class Cell:
     samples: tuple[int, ...]
     images: np.ndarray
     seconds: np.ndarray
+    counts: dict[str, int]
+    kernels: tuple[str, ...]
     compile_seconds: float
 
 
@@ -82,32 +88,46 @@ def cell(
     prefixes = powers_of_two(samples)
     width, height = engine.scene.resolution
     before = engine.compile_seconds
-    images, seconds = [], []
+    images, seconds, counts = [], [], np.zeros(len(COUNTERS), np.int64)
+    kernels: tuple[str, ...] = ()
     for replicate in range(replicates):
         path = folder / name[:2] / f"{name}-{replicate:04d}.npz"
         kept = _read(path, (len(prefixes), height, width, 3))
         if kept is None:
+            done = np.array(list(engine.counts.values()))
             steps = list(
                 engine.prefixes(variant, samples=samples, seed=seed, replicate=replicate, chain=chain)
             )
-            kept = (
-                np.stack([image for _, image, _ in steps]).astype(np.float32),
-                np.array([spent for _, _, spent in steps]),
-            )
-            write_atomically(
-                path, lambda temporary, kept=kept: np.savez(temporary, images=kept[0], seconds=kept[1])
-            )
-        images.append(kept[0])
-        seconds.append(kept[1])
+            kept = {
+                "images": np.stack([image for _, image, _ in steps]).astype(np.float32),
+                "seconds": np.array([spent for _, _, spent in steps]),
+                "counts": np.array(list(engine.counts.values())) - done,
+                "kernels": np.array(engine.kernels_of(variant, chain=chain), np.str_),
+            }
+            write_atomically(path, lambda temporary, kept=kept: np.savez(temporary, **kept))
+        images.append(kept["images"])
+        seconds.append(kept["seconds"])
+        counts += kept["counts"]
+        kernels = tuple(kept["kernels"].tolist())
         progress()
-    return Cell(variant, own, prefixes, np.stack(images), np.stack(seconds), engine.compile_seconds - before)
+    return Cell(
+        variant,
+        own,
+        prefixes,
+        np.stack(images),
+        np.stack(seconds),
+        dict(zip(COUNTERS, counts.tolist(), strict=True)),
+        kernels,
+        engine.compile_seconds - before,
+    )
 
 
-def _read(path: Path, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Images and seconds of a kept replicate; None where the file is missing or damaged (NPZ has checksums)."""
+def _read(path: Path, shape: tuple[int, ...]) -> dict[str, np.ndarray] | None:
+    """The arrays of a kept replicate; None where the file is missing or damaged (NPZ has checksums)."""
     try:
         with np.load(path) as arrays:
-            images, seconds = arrays["images"], arrays["seconds"]
+            kept = {name: arrays[name] for name in ("images", "seconds", "counts", "kernels")}
     except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile):
         return None
-    return (images, seconds) if (images.shape, seconds.shape) == (shape, shape[:1]) else None
+    shapes = kept["images"].shape, kept["seconds"].shape, kept["counts"].shape
+    return kept if shapes == (shape, shape[:1], (len(COUNTERS),)) else None

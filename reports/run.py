@@ -188,7 +188,7 @@ def measure(
             {term: kept.images for term, kept in references.correct.items()},
             versions(),
         )
-        described[scene.name] = _describe(subject)
+        described[scene.name] = _describe(study, subject, measured)
         extrapolations += _extrapolations(study, subject, measured, references, advance)
     for case in known:
         waiting += _exact_rows(study, case, lambda case=case: advance(f"{case.name}: {case.variant.name}"))
@@ -623,8 +623,9 @@ _NOT_JUDGED: dict[str, Any] = dict.fromkeys(
 ) | {"warnings": [], "reasons": [], "channels": [], "objects": []}
 
 
-def _describe(subject: Subject) -> dict[str, Any]:
+def _describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, Any]:
     scene = subject.scene
+    samples = {term: study.samples_of(subject.variants[term][0]) for term in TERMS}
     chosen: dict[Term, Variant] = {term: subject.variants[term][0] for term in TERMS}
     return {
         "base": subject.base.name if subject.base else None,
@@ -664,7 +665,15 @@ def _describe(subject: Subject) -> dict[str, Any]:
             },
         },
         "gains": _gains(subject),
-        "skips": [attrs.asdict(step) for step in plan(scene, chosen, chain=subject.chain)],
+        "plan": [
+            attrs.asdict(step) | {"samples": samples[step.term]}
+            for step in plan(scene, chosen, chain=subject.chain, samples=samples)
+        ],
+        "work": [
+            {"term": cell.variant.term, "variant": cell.variant.name, "samples": cell.samples[-1]}
+            | {"replicates": len(cell.images), "kernels": list(cell.kernels), "counts": cell.counts}
+            for cell in measured
+        ],
     }
 
 

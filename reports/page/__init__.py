@@ -127,7 +127,8 @@ class _Scene:
             "settings": {},
             "objects": [],
             "gains": {},
-            "skips": [],
+            "plan": [],
+            "work": [],
             **described,
         }
         self.setting: dict[str, Any] | None = described.get("setting")

@@ -166,7 +166,18 @@ def synthesise(folder: Path) -> None:
             "resolution": [SIZE, SIZE], "exposure": 0.8, "scope": "all", "max_bounces": 2, "digest": "3f" * 32,
             "objects": ["ground", "steel <cube>"],
             "settings": {"pixel rule": "jitter", "ambient light": [0.5, 0.5, 0.8], "lights drawn": False},
-            "skips": [{"term": "direct", "work": "photon maps", "runs": False, "reason": "the scene has no light"}],
+            "plan": [
+                {"term": "direct", "work": "photon maps", "kind": "skip", "reason": "the scene has no light",
+                 "saved": {"photons": 1600000}, "at_most": False, "samples": 32},
+                {"term": "ambient", "work": "occlusion rays", "kind": "runs", "reason": "one a sample that hits",
+                 "saved": {}, "at_most": False, "samples": 32},
+            ],
+            "work": [
+                {"term": "ambient", "variant": "cosine", "samples": 32, "replicates": 16, "kernels": ["occlusion"],
+                 "counts": {"rays": 73728, "occlusion rays": 61234}},
+                {"term": "direct", "variant": "next-event", "samples": 32, "replicates": 16, "kernels": [],
+                 "counts": {"rays": 0, "occlusion rays": 0}},
+            ],
         }  # fmt: skip
     results = {
         "schema": 1,
@@ -295,7 +306,14 @@ def test_scene_page_shows_sentences_settings_and_skips(run):
     for row in results["cells"]:
         if row["scene"] == "cornell_box" and row.get("sentence"):
             assert row["sentence"].removeprefix(f"{row['verdict']}: ") in text
-    assert "the scene has no light" in text
+    flat = "".join(text.replace(digits.THIN, "").split())
+    for words in (
+        "direct photon maps skip the scene has no light 1600000 photons",
+        "ambient occlusion rays runs one a sample that hits –",
+        "ambient cosine, 32 × 16 occlusion 73728 61234",
+        "direct next-event, 32 × 16 none 0 0",
+    ):
+        assert words.replace(" ", "") in flat
     assert "steel <cube>" in text
     assert "0.5, 0.5, 0.8" in text
 

@@ -119,7 +119,7 @@ def test_a_skip_spares_work_and_no_byte(skip, scene, term, variant, counter, all
         assert not engine.kernels
         assert without.kernels
     if skip == "photons":
-        assert without.kernels - engine.kernels == {"trace_photons"}
+        assert without.kernels - engine.kernels == {"trace_photons", "sort"}
 
 
 def test_every_skip_has_a_case():
