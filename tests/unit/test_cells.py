@@ -8,6 +8,7 @@ import attrs
 import numpy as np
 import pytest
 
+from renderer.scratch import COUNTERS
 from renderer.terms import VARIANTS
 from renderer.tiles import powers_of_two
 from reports import cells
@@ -29,10 +30,12 @@ class Recorder:
         self.scene, self.interrupt_at = scene, interrupt_at
         self.compile_seconds = 0.0
         self.asked: list[int] = []
+        self.counts = dict.fromkeys(COUNTERS, 0)
 
     def prefixes(self, variant: Any, *, samples: int, seed: int, replicate: int, chain: str) -> Iterator:
         self.asked.append(replicate)
         self.compile_seconds += 1.0
+        self.counts["rays"] += samples
         width, height = self.scene.resolution
         for count in powers_of_two(samples):
             if replicate == self.interrupt_at and count == samples:
@@ -42,6 +45,9 @@ class Recorder:
                 np.random.default_rng((seed, replicate, count)).random((height, width, 3)),
                 0.5 * count,
             )
+
+    def kernels_of(self, variant: Any, *, chain: str) -> tuple[str, ...]:
+        return ("a", chain)
 
 
 def take(engine: Recorder, folder: Path, **changes: Any) -> cells.Cell:
@@ -62,6 +68,7 @@ def test_shapes_and_seconds(scene: Scene, tmp_path: Path):
     assert cell.images.shape == (REPLICATES, 3, 2, 3, 3)
     assert cell.images.dtype == np.float32
     np.testing.assert_array_equal(cell.seconds, [[0.5, 1.0, 2.0]] * REPLICATES)
+    assert cell.counts == dict.fromkeys(COUNTERS, 0) | {"rays": SAMPLES * REPLICATES}
     assert cell.compile_seconds == REPLICATES
 
 
@@ -72,6 +79,8 @@ def test_a_second_run_computes_nothing(scene: Scene, tmp_path: Path):
     assert again.compile_seconds == 0
     np.testing.assert_array_equal(again.images, first.images)
     np.testing.assert_array_equal(again.seconds, first.seconds)
+    assert again.counts == first.counts
+    assert again.kernels == first.kernels == ("a", "path")
 
 
 def test_more_replicates_keep_those_there_are(scene: Scene, tmp_path: Path):
