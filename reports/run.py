@@ -625,7 +625,7 @@ _NOT_JUDGED: dict[str, Any] = dict.fromkeys(
 
 def _describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, Any]:
     scene = subject.scene
-    samples = {term: study.samples_of(subject.variants[term][0]) for term in TERMS}
+    samples: dict[Term, int] = {term: study.samples_of(subject.variants[term][0]) for term in TERMS}
     chosen: dict[Term, Variant] = {term: subject.variants[term][0] for term in TERMS}
     return {
         "base": subject.base.name if subject.base else None,
