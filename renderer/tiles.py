@@ -12,11 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from renderer import photon_map, photon_tracing
+from renderer.adaptive import PILOT, SIDE, shares
 from renderer.arrays import SceneArrays, from_scene
 from renderer.film import GeometryImages, Tile, trace_centres
 from renderer.jit import warm
 from renderer.plan import SKIPS, check, may_see, needs_every_pixel, needs_photons, skipped
-from renderer.rng import root
+from renderer.rng import root, stream
 from renderer.scratch import COUNTERS, Scratch, new_scratch
 from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
@@ -28,7 +29,11 @@ _TILES_A_THREAD, _SMALLEST = 4, 4
 # Samples that share a map of a search for the k nearest at the vertices of a chain: its radius does not shrink.
 _CHAINS_A_MAP = 64
 
+_PILOT_STREAM = 1 << 41  # beyond the streams of pixels and of photons
+
 Progress = Callable[[int, int], None]
+# A tile, and the samples [first, last) of its pixels.
+Work = tuple[Tile, int, int]
 
 
 class Cancelled(Exception):
@@ -40,10 +45,9 @@ def powers_of_two(samples: int) -> tuple[int, ...]:
     return (*(2**i for i in range((samples - 1).bit_length())), samples)
 
 
-def _tiles(wanted: np.ndarray, *, least: int) -> list[Tile]:
+def _tiles(wanted: np.ndarray, *, least: int, side: int = TILE) -> list[Tile]:
     """Tiles that hold the wanted pixels (H, W) bool; at least `least` of them, if the image is large enough."""
     height, width = wanted.shape
-    side = TILE
     while side > _SMALLEST and -(-width // side) * -(-height // side) < least:
         side //= 2
     tiles = []
@@ -56,6 +60,13 @@ def _tiles(wanted: np.ndarray, *, least: int) -> list[Tile]:
     return tiles
 
 
+def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int) -> list[Work]:
+    """What samples [first, last) of the mean pixel are in each tile: one at least of each, as soon as there are any."""
+    begin = np.where(first > 0, np.maximum(1, np.floor(first * share)), 0).astype(int)
+    end = np.maximum(1, np.floor(last * share)).astype(int)
+    return [(tile, a, b) for tile, a, b in zip(tiles, begin.tolist(), end.tolist(), strict=True)]
+
+
 class Engine:
     """A scene made ready for kernels, and the threads that run them.
 
@@ -64,6 +75,7 @@ class Engine:
     scene : the scene.
     threads : number of threads; None: one a core.
     without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work.
+    adaptive : whether a pilot decides how many samples each tile gets, see `renderer.adaptive`; N is then the mean.
 
     Attributes
     ----------
@@ -71,7 +83,14 @@ class Engine:
     compile_seconds : how long that took.
     """
 
-    def __init__(self, scene: Scene, *, threads: int | None = None, without: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        threads: int | None = None,
+        without: Collection[str] = (),
+        adaptive: bool = False,
+    ) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads = {threads}: allowed is at least 1")
         for name in without:
@@ -90,9 +109,13 @@ class Engine:
         width, height = scene.resolution
         everywhere = np.ones((height, width), np.bool_)
         least = _TILES_A_THREAD * threads
-        self._everywhere = _tiles(everywhere, least=least)
+        self.adaptive = adaptive
+        side = SIDE if adaptive else TILE
+        self._everywhere = _tiles(everywhere, least=least, side=side)
         # Those that may see an object: all terms but a textured sky are zero, or constant, in the others.
-        self.tiles = _tiles(everywhere if "window" in self.without else may_see(scene), least=least)
+        self.tiles = _tiles(
+            everywhere if "window" in self.without else may_see(scene), least=least, side=side
+        )
 
     def __enter__(self) -> "Engine":
         """Return the engine; its threads end with the block."""
@@ -136,7 +159,12 @@ class Engine:
         """Yield (N, image, seconds) for N = 1, 2, 4, ..., samples of one replicate.
 
         `image` is the mean of the first N samples, (H, W, 3) float64; `seconds` the time since the start,
-        compilation excluded. `progress` is called with (samples done, samples).
+        compilation excluded, a pilot's included. `progress` is called with (samples done, samples).
+
+        Raises
+        ------
+        ValueError
+            `samples` below 1, an option that the variant would ignore, or adaptive counts with a photon map a sample.
         """
         if samples < 1:
             raise ValueError(f"samples = {samples}: allowed is at least 1")
@@ -148,13 +176,23 @@ class Engine:
             return
         key = root(seed, replicate)
         stored = needs_photons(self.scene, variant, chain, without=self.without)
+        if self.adaptive and stored:
+            raise ValueError(
+                f"{self.scene.name}: adaptive = True with {variant.term} {variant.name}, which has a photon map a "
+                "sample: allowed are variants without (direct path, the chain 'path', scope = 'first-hit')"
+            )
         photons = photon_map.empty()
         # Each pass has its own radius, hence its own map.
         per_map = _CHAINS_A_MAP if chain == "paper" and variant.term == "specular" else 1
         tiles = self._everywhere if needs_every_pixel(self.scene, variant.term) else self.tiles
-        seconds = 0.0
         done = 0
         self._warm(variant, chain, stored, key, out)
+        begin = time.perf_counter()
+        share = np.ones(len(tiles))
+        if self.adaptive:
+            share = self._pilot(variant, chain, stream(key, _PILOT_STREAM), tiles, cancel)
+        counts = np.ones((height, width, 1))
+        seconds = time.perf_counter() - begin
         for count in powers_of_two(samples):
             start = time.perf_counter()
             first = done
@@ -166,7 +204,7 @@ class Engine:
                     emitted = self.scene.photons.count
                     photons = self._photons(variant, chain, stored, key, number, emitted, self._scratch)
                 inputs = variant.inputs(self.scene, chain, photons)
-                self._run(variant, inputs, key, first, last, tiles, out, cancel)
+                self._run(variant, inputs, key, _work(tiles, share, first, last), out, cancel)
                 if tiles is self.tiles and variant.term == "background":
                     self._add_sky(out, last - first)
                 first = last
@@ -174,7 +212,33 @@ class Engine:
                     progress(last, samples)
             done = count
             seconds += time.perf_counter() - start
-            yield count, out / count, seconds
+            counts[:] = count
+            for tile, _, last in _work(tiles, share, 0, count):
+                counts[tile.y0 : tile.y1, tile.x0 : tile.x1] = last
+            yield count, out / counts, seconds
+
+    def _pilot(
+        self,
+        variant: Variant,
+        chain: Chain,
+        key: np.uint64,
+        tiles: list[Tile],
+        cancel: threading.Event | None,
+    ) -> np.ndarray:
+        """Share of each tile in the samples, by two images that are then thrown away."""
+        width, height = self.scene.resolution
+        inputs = variant.inputs(self.scene, chain, photon_map.empty())
+        images = np.zeros((2, height, width, 3))
+        for number, image in enumerate(images):
+            self._run(
+                variant,
+                inputs,
+                stream(key, number),
+                _work(tiles, np.ones(len(tiles)), 0, PILOT),
+                image,
+                cancel,
+            )
+        return shares(tiles, *images)
 
     def _add_sky(self, out: np.ndarray, samples: int) -> None:
         """What `samples` of a constant sky add beyond the window, rounded as a kernel's sum is."""
@@ -208,18 +272,17 @@ class Engine:
         variant: Variant,
         inputs: tuple,
         key: np.uint64,
-        first: int,
-        last: int,
-        tiles: list[Tile],
+        work: list[Work],
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
-        def draw(tile: Tile) -> None:
+        def draw(item: Work) -> None:
+            tile, first, last = item
             if cancel is not None and cancel.is_set():
                 raise Cancelled
             variant.driver(self.arrays, *inputs, key, first, last, tile, out, self._scratch())
 
-        for _ in self.pool.map(draw, tiles):
+        for _ in self.pool.map(draw, work):
             pass
 
     def _warm(
