@@ -23,6 +23,7 @@ def render(
     seed: int = 0,
     chain: Chain = "next-event",
     threads: int | None = None,
+    adaptive: bool = False,
 ) -> TermImage:
     """Render one term.
 
@@ -36,17 +37,19 @@ def render(
     seed : equal seeds give equal bits, for any number of threads.
     chain : what the other terms are at the vertices of a specular chain, see `renderer.terms.variant.Chain`.
     threads : None: one a core.
+    adaptive : whether a pilot, which is then discarded, gives more samples to the noisier tiles.
 
     Raises
     ------
     ValueError
-        An unknown term or variant, or a count below 1; the message lists what is allowed.
+        An unknown term or variant, a count below 1, adaptive counts with photon maps; the message lists what is
+        allowed.
     """
     if replicates < 1:
         raise ValueError(f"replicates = {replicates}: allowed is at least 1")
     estimator = find(term, variant)
     images, seconds = [], 0.0
-    with Engine(scene, threads=threads) as engine:
+    with Engine(scene, threads=threads, adaptive=adaptive) as engine:
         for replicate in range(replicates):
             *_, (_, image, spent) = engine.prefixes(
                 estimator, samples=samples, seed=seed, replicate=replicate, chain=chain

@@ -26,6 +26,16 @@ class Tile(NamedTuple):
 
 
 @device
+def item_of(work: np.ndarray, item: int) -> tuple[Tile, int, int]:
+    """Tile, and the samples [first, last) of its pixels.
+
+    Work is (N, 6) int64, a row `(x0, y0, x1, y1, first, last)`: many small tiles take one call of a kernel.
+    """
+    tile = Tile(work[item, 0], work[item, 1], work[item, 2], work[item, 3])
+    return tile, work[item, 4], work[item, 5]
+
+
+@device
 def sampler_of(scene: SceneArrays, key: np.uint64, y: int, i: int, scratch: Scratch) -> Sampler:
     """Randomness of sight i of row y."""
     return Sampler(fold(key, y * scene.camera.width + scratch.x[i]), np.uint32(scratch.index[i]))

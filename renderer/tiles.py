@@ -23,6 +23,8 @@ from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
 
 TILE = 32
+# Calls of a kernel, each for several tiles: one costs 25 to 60 µs, mostly Python's.
+_PARTS_A_THREAD = 8
 # Small images get smaller tiles, so many a thread at least that none waits long for the others: with one tile a second
 # core stood idle, and 32 x 32 and 8 x 8 pixels took 1.6 to 1.9 times as long on 2.
 _TILES_A_THREAD, _SMALLEST = 4, 4
@@ -32,8 +34,6 @@ _CHAINS_A_MAP = 64
 _PILOT_STREAM = 1 << 41  # beyond the streams of pixels and of photons
 
 Progress = Callable[[int, int], None]
-# A tile, and the samples [first, last) of its pixels.
-Work = tuple[Tile, int, int]
 
 
 class Cancelled(Exception):
@@ -60,11 +60,14 @@ def _tiles(wanted: np.ndarray, *, least: int, side: int = TILE) -> list[Tile]:
     return tiles
 
 
-def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int) -> list[Work]:
-    """What samples [first, last) of the mean pixel are in each tile: one at least of each, as soon as there are any."""
+def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int) -> np.ndarray:
+    """What samples [first, last) of the mean pixel are in each tile: one at least of each, as soon as there are any.
+
+    (N, 6) int64, as `film.item_of` reads it.
+    """
     begin = np.where(first > 0, np.maximum(1, np.floor(first * share)), 0).astype(int)
     end = np.maximum(1, np.floor(last * share)).astype(int)
-    return [(tile, a, b) for tile, a, b in zip(tiles, begin.tolist(), end.tolist(), strict=True)]
+    return np.column_stack([np.array(tiles, np.int64).reshape(-1, 4), begin, end])
 
 
 class Engine:
@@ -108,8 +111,10 @@ class Engine:
         self.kernels: set[str] = set()
         width, height = scene.resolution
         everywhere = np.ones((height, width), np.bool_)
-        least = _TILES_A_THREAD * threads
+        # The tiles of adaptive counts decide the image, so the threads may not decide the tiles.
+        least = 1 if adaptive else _TILES_A_THREAD * threads
         self.adaptive = adaptive
+        self._parts = _PARTS_A_THREAD * threads
         side = SIDE if adaptive else TILE
         self._everywhere = _tiles(everywhere, least=least, side=side)
         # Those that may see an object: all terms but a textured sky are zero, or constant, in the others.
@@ -213,8 +218,8 @@ class Engine:
             done = count
             seconds += time.perf_counter() - start
             counts[:] = count
-            for tile, _, last in _work(tiles, share, 0, count):
-                counts[tile.y0 : tile.y1, tile.x0 : tile.x1] = last
+            for x0, y0, x1, y1, _, last in _work(tiles, share, 0, count).tolist():
+                counts[y0:y1, x0:x1] = last
             yield count, out / counts, seconds
 
     def _pilot(
@@ -272,17 +277,16 @@ class Engine:
         variant: Variant,
         inputs: tuple,
         key: np.uint64,
-        work: list[Work],
+        work: np.ndarray,
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
-        def draw(item: Work) -> None:
-            tile, first, last = item
+        def draw(part: np.ndarray) -> None:
             if cancel is not None and cancel.is_set():
                 raise Cancelled
-            variant.driver(self.arrays, *inputs, key, first, last, tile, out, self._scratch())
+            variant.driver(self.arrays, *inputs, key, part, out, self._scratch())
 
-        for _ in self.pool.map(draw, work):
+        for _ in self.pool.map(draw, np.array_split(work, min(len(work), self._parts))):
             pass
 
     def _warm(
@@ -296,7 +300,7 @@ class Engine:
             # Its photon does not count.
             photons = self._photons(variant, chain, stored, key, 0, 1, new_scratch)
         inputs = variant.inputs(self.scene, chain, photons)
-        warm(variant.driver, self.arrays, *inputs, key, 0, 1, self._everywhere[0], out, self._scratch())
+        warm(variant.driver, self.arrays, *inputs, key, np.zeros((0, 6), np.int64), out, self._scratch())
         self.compile_seconds += time.perf_counter() - start
 
     def _photons(

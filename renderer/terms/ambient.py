@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import Tile, accumulate, darken, sampler_of, samples_of_row, see
+from renderer.film import accumulate, darken, item_of, sampler_of, samples_of_row, see
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
 from renderer.photon_map import PhotonMap
@@ -99,32 +99,32 @@ def _occlusion(
     scene: SceneArrays,
     rule: int,
     key: np.uint64,
-    first: int,
-    last: int,
-    tile: Tile,
+    work: np.ndarray,
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
-    for y in range(tile.y0, tile.y1):
-        for start in range(0, samples_of_row(tile, first, last), SIZE):
-            count = see(scene, key, tile, y, start, first, last, scratch)
-            asking = 0
-            for i in range(count):
-                surface = surface_of(scene, scratch.sights, i)
-                radiance = Vec3(0.0, 0.0, 0.0)
-                if surface.face >= 0:
-                    dark = shadowed(scene, surface, scratch)
-                    sampler = sampler_of(scene, key, y, i, scratch)
-                    radiance, direction, asks = sample_ambient(scene, rule, surface, dark, sampler)
-                    if asks:
-                        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, -1)
-                        scratch.lane[asking] = i
-                        asking += 1
-                put(scratch.radiance, i, radiance)
-            occlude_group(scene, scratch.rays, asking, ambient_reach(scene, rule), False, scratch)
-            darken(scratch, asking)
-            for i in range(count):
-                accumulate(out, scratch, y, i, vec3(scratch.radiance, i))
+    for item in range(len(work)):
+        tile, first, last = item_of(work, item)
+        for y in range(tile.y0, tile.y1):
+            for start in range(0, samples_of_row(tile, first, last), SIZE):
+                count = see(scene, key, tile, y, start, first, last, scratch)
+                asking = 0
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    radiance = Vec3(0.0, 0.0, 0.0)
+                    if surface.face >= 0:
+                        dark = shadowed(scene, surface, scratch)
+                        sampler = sampler_of(scene, key, y, i, scratch)
+                        radiance, direction, asks = sample_ambient(scene, rule, surface, dark, sampler)
+                        if asks:
+                            put_occlusion_ray(scene, scratch.rays, asking, surface, direction, -1)
+                            scratch.lane[asking] = i
+                            asking += 1
+                    put(scratch.radiance, i, radiance)
+                occlude_group(scene, scratch.rays, asking, ambient_reach(scene, rule), False, scratch)
+                darken(scratch, asking)
+                for i in range(count):
+                    accumulate(out, scratch, y, i, vec3(scratch.radiance, i))
 
 
 def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

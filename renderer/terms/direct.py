@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import Tile, accumulate, darken, sampler_of, samples_of_row, see
+from renderer.film import accumulate, darken, item_of, sampler_of, samples_of_row, see
 from renderer.geometry.intersect import make_ray
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
@@ -110,54 +110,54 @@ def _next_event(
     scene: SceneArrays,
     photons: PhotonMap,
     key: np.uint64,
-    first: int,
-    last: int,
-    tile: Tile,
+    work: np.ndarray,
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
-    for y in range(tile.y0, tile.y1):
-        for start in range(0, samples_of_row(tile, first, last), SIZE):
-            count = see(scene, key, tile, y, start, first, last, scratch)
-            lit = 0
-            asking = 0
-            for i in range(count):
-                surface = surface_of(scene, scratch.sights, i)
-                if (
-                    surface.face < 0
-                    or (scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object)))
-                    or shadowed(scene, surface, scratch)
-                ):
-                    continue
-                lit |= 1 << i
-                sampler = sampler_of(scene, key, y, i, scratch)
-                straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
-                put(scratch.radiance, i, straight)
-                if not (scene.skips.horizon and is_black(straight)):
-                    put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
-                    scratch.lane[asking] = i
-                    asking += 1
-            occlude_group(scene, scratch.rays, asking, 1.0, True, scratch)
-            darken(scratch, asking)
-            for i in range(count):
-                if (lit >> i) & 1 != 0:
+    for item in range(len(work)):
+        tile, first, last = item_of(work, item)
+        for y in range(tile.y0, tile.y1):
+            for start in range(0, samples_of_row(tile, first, last), SIZE):
+                count = see(scene, key, tile, y, start, first, last, scratch)
+                lit = 0
+                asking = 0
+                for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
-                    straight = vec3(scratch.radiance, i)
-                    accumulate(out, scratch, y, i, _reflected(scene, photons, surface, straight, scratch))
+                    if (
+                        surface.face < 0
+                        or (scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object)))
+                        or shadowed(scene, surface, scratch)
+                    ):
+                        continue
+                    lit |= 1 << i
+                    sampler = sampler_of(scene, key, y, i, scratch)
+                    straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
+                    put(scratch.radiance, i, straight)
+                    if not (scene.skips.horizon and is_black(straight)):
+                        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
+                        scratch.lane[asking] = i
+                        asking += 1
+                occlude_group(scene, scratch.rays, asking, 1.0, True, scratch)
+                darken(scratch, asking)
+                for i in range(count):
+                    if (lit >> i) & 1 != 0:
+                        surface = surface_of(scene, scratch.sights, i)
+                        straight = vec3(scratch.radiance, i)
+                        accumulate(out, scratch, y, i, _reflected(scene, photons, surface, straight, scratch))
 
 
 @kernel
-def _path(
-    scene: SceneArrays, key: np.uint64, first: int, last: int, tile: Tile, out: np.ndarray, scratch: Scratch
-) -> None:
-    for y in range(tile.y0, tile.y1):
-        for start in range(0, samples_of_row(tile, first, last), SIZE):
-            count = see(scene, key, tile, y, start, first, last, scratch)
-            for i in range(count):
-                surface = surface_of(scene, scratch.sights, i)
-                if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                    sampler = sampler_of(scene, key, y, i, scratch)
-                    accumulate(out, scratch, y, i, direct_path(scene, surface, sampler, scratch))
+def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch) -> None:
+    for item in range(len(work)):
+        tile, first, last = item_of(work, item)
+        for y in range(tile.y0, tile.y1):
+            for start in range(0, samples_of_row(tile, first, last), SIZE):
+                count = see(scene, key, tile, y, start, first, last, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                        sampler = sampler_of(scene, key, y, i, scratch)
+                        accumulate(out, scratch, y, i, direct_path(scene, surface, sampler, scratch))
 
 
 @kernel
@@ -165,23 +165,23 @@ def _photon_map(
     scene: SceneArrays,
     photons: PhotonMap,
     key: np.uint64,
-    first: int,
-    last: int,
-    tile: Tile,
+    work: np.ndarray,
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
-    for y in range(tile.y0, tile.y1):
-        for start in range(0, samples_of_row(tile, first, last), SIZE):
-            count = see(scene, key, tile, y, start, first, last, scratch)
-            for i in range(count):
-                surface = surface_of(scene, scratch.sights, i)
-                if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                    weight = vec3(scene.materials.diffuse, surface.object)
-                    if not (scene.skips.diffuse and is_black(weight)):
-                        irradiance = estimate_irradiance(scene, photons, surface, scratch)
-                        radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
-                        accumulate(out, scratch, y, i, radiance)
+    for item in range(len(work)):
+        tile, first, last = item_of(work, item)
+        for y in range(tile.y0, tile.y1):
+            for start in range(0, samples_of_row(tile, first, last), SIZE):
+                count = see(scene, key, tile, y, start, first, last, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                        weight = vec3(scene.materials.diffuse, surface.object)
+                        if not (scene.skips.diffuse and is_black(weight)):
+                            irradiance = estimate_irradiance(scene, photons, surface, scratch)
+                            radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
+                            accumulate(out, scratch, y, i, radiance)
 
 
 @kernel
@@ -191,22 +191,22 @@ def _nearest(
     nearest: int,
     factor: float,
     key: np.uint64,
-    first: int,
-    last: int,
-    tile: Tile,
+    work: np.ndarray,
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
-    for y in range(tile.y0, tile.y1):
-        for start in range(0, samples_of_row(tile, first, last), SIZE):
-            count = see(scene, key, tile, y, start, first, last, scratch)
-            for i in range(count):
-                surface = surface_of(scene, scratch.sights, i)
-                if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                    radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
-                    accumulate(out, scratch, y, i, radiance)
+    for item in range(len(work)):
+        tile, first, last = item_of(work, item)
+        for y in range(tile.y0, tile.y1):
+            for start in range(0, samples_of_row(tile, first, last), SIZE):
+                count = see(scene, key, tile, y, start, first, last, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                        radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
+                        accumulate(out, scratch, y, i, radiance)
 
 
 def _limit(scene: Scene, samples: int) -> Limit:

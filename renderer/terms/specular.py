@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import Tile, accumulate, sampler_of, samples_of_row, see
+from renderer.film import accumulate, item_of, sampler_of, samples_of_row, see
 from renderer.geometry.intersect import make_ray
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
@@ -127,52 +127,54 @@ def _chain(
     photons: PhotonMap,
     nearest: int,
     key: np.uint64,
-    first: int,
-    last: int,
-    tile: Tile,
+    work: np.ndarray,
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
-    for y in range(tile.y0, tile.y1):
-        for start in range(0, samples_of_row(tile, first, last), SIZE):
-            count = see(scene, key, tile, y, start, first, last, scratch)
-            for i in range(count):
-                surface = surface_of(scene, scratch.sights, i)
-                sampler = sampler_of(scene, key, y, i, scratch)
-                throughput = Vec3(1.0, 1.0, 1.0)
-                bounce = 0
-                while surface.face >= 0 and bounce < scene.max_bounces:
-                    bounce += 1
-                    material = surface.object
-                    gloss = scene.materials.specular[material]
-                    if gloss == 0.0 or shadowed(scene, surface, scratch):
-                        break
-                    local = frame(surface.normal)
-                    wo = to_local(local, surface.wo)
-                    u, v = sample_2d(sampler, LOBE)
-                    f0 = vec3(scene.materials.f0, material)
-                    wi, weight = sample_variant(
-                        lobe, scene.rings, wo, scene.materials.alpha[material], f0, u, v
-                    )
-                    throughput = scale(mul(throughput, weight), gloss)
-                    if scene.skips.throughput and is_black(throughput):
-                        break
-                    survival = min(1.0, max_component(throughput) / FAINT)
-                    if 0.0 < survival < 1.0:
-                        if sample_1d(sampler, ROULETTE) >= survival:
+    for item in range(len(work)):
+        tile, first, last = item_of(work, item)
+        for y in range(tile.y0, tile.y1):
+            for start in range(0, samples_of_row(tile, first, last), SIZE):
+                count = see(scene, key, tile, y, start, first, last, scratch)
+                for i in range(count):
+                    surface = surface_of(scene, scratch.sights, i)
+                    sampler = sampler_of(scene, key, y, i, scratch)
+                    throughput = Vec3(1.0, 1.0, 1.0)
+                    bounce = 0
+                    while surface.face >= 0 and bounce < scene.max_bounces:
+                        bounce += 1
+                        material = surface.object
+                        gloss = scene.materials.specular[material]
+                        if gloss == 0.0 or shadowed(scene, surface, scratch):
                             break
-                        throughput = scale(throughput, 1.0 / survival)
-                    direction = to_world(local, wi)
-                    origin = surface.point
-                    surface = trace(scene, make_ray(origin, direction), surface.face, scratch)
-                    sampler = Sampler(fold(sampler.key, _CHAIN), sampler.index)
-                    if surface.face < 0:
-                        radiance = sky_radiance(scene.sky, origin, direction)
-                    else:
-                        radiance = _diffuse(scene, direct, photons, heap, chosen, surface, sampler, scratch)
-                    accumulate(out, scratch, y, i, mul(throughput, radiance))
+                        local = frame(surface.normal)
+                        wo = to_local(local, surface.wo)
+                        u, v = sample_2d(sampler, LOBE)
+                        f0 = vec3(scene.materials.f0, material)
+                        wi, weight = sample_variant(
+                            lobe, scene.rings, wo, scene.materials.alpha[material], f0, u, v
+                        )
+                        throughput = scale(mul(throughput, weight), gloss)
+                        if scene.skips.throughput and is_black(throughput):
+                            break
+                        survival = min(1.0, max_component(throughput) / FAINT)
+                        if 0.0 < survival < 1.0:
+                            if sample_1d(sampler, ROULETTE) >= survival:
+                                break
+                            throughput = scale(throughput, 1.0 / survival)
+                        direction = to_world(local, wi)
+                        origin = surface.point
+                        surface = trace(scene, make_ray(origin, direction), surface.face, scratch)
+                        sampler = Sampler(fold(sampler.key, _CHAIN), sampler.index)
+                        if surface.face < 0:
+                            radiance = sky_radiance(scene.sky, origin, direction)
+                        else:
+                            radiance = _diffuse(
+                                scene, direct, photons, heap, chosen, surface, sampler, scratch
+                            )
+                        accumulate(out, scratch, y, i, mul(throughput, radiance))
 
 
 def _inputs(lobe: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

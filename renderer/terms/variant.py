@@ -27,8 +27,8 @@ class Variant:
     ----------
     name : the variant's name within its term.
     term : the term it estimates.
-    driver : the kernel `driver(scene, *inputs, key, first, last, tile, out, scratch)`, which adds samples
-        [first, last) of the pixels of a tile to `out` (H, W, 3) float64.
+    driver : the kernel `driver(scene, *inputs, key, work, out, scratch)`, which adds the samples of all tiles of
+        `work` (see `film.item_of`) to `out` (H, W, 3) float64.
     inputs : (scene, chain, photon map) -> the driver's further arguments.
     limit : (scene, samples) -> Limit, what it converges to; for estimates with a shrinking kernel the limit is that of
         so many samples.

@@ -1,0 +1,103 @@
+"""Adaptive counts: the allocation by hand, the same bits for any threads, and the mean that is not moved.
+
+Rationale: a pilot whose samples were used would bias the mean (few samples where chance made them alike). This one is
+discarded: over many replicates the adaptive mean must be that of even counts, by Welch's test of each tile and channel.
+"""
+
+import attrs
+import numpy as np
+import pytest
+from scipy import stats
+
+from renderer import Engine, find
+from renderer.adaptive import SIDE, shares
+from renderer.film import Tile
+from scenes.load import load
+
+TILES = [Tile(0, 0, 4, 4), Tile(4, 0, 8, 4), Tile(0, 4, 4, 8), Tile(4, 4, 8, 8)]
+
+
+def two_images(deviations: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    one = np.zeros((8, 8, 3))
+    for tile, deviation in zip(TILES, deviations, strict=True):
+        one[tile.y0 : tile.y1, tile.x0 : tile.x1] = deviation
+    return one, np.zeros((8, 8, 3))
+
+
+def test_samples_go_as_the_deviation():
+    """Deviations 4, 2, 1, 1 have the mean 2: shares 2, 1, 1/2, 1/2 spend four tiles' samples exactly."""
+    np.testing.assert_array_equal(shares(TILES, *two_images([4.0, 2.0, 1.0, 1.0])), [2.0, 1.0, 0.5, 0.5])
+
+
+def test_no_tile_starves_and_no_more_is_spent_than_asked():
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        found = shares(TILES, *two_images((10.0 ** rng.uniform(-6, 6, 4)).tolist()))
+        assert found.min() >= 0.25
+        assert found.mean() <= 1.0
+        np.testing.assert_array_equal(np.log2(found) % 1, 0.0)
+
+
+def test_a_pilot_without_noise_leaves_the_counts():
+    np.testing.assert_array_equal(shares(TILES, *two_images([0.0] * 4)), 1.0)
+
+
+def test_same_bits_for_any_threads_and_prefixes(compiled):
+    scene = attrs.evolve(load("cornell_box"), resolution=(20, 12) if compiled else (9, 8))
+    images = []
+    for threads, samples in ((1, 8), (3, 8), (2, 16)):
+        with Engine(scene, threads=threads, adaptive=True) as engine:
+            images.append(
+                {
+                    n: image
+                    for n, image, _ in engine.prefixes(
+                        find("ambient", None), samples=samples, seed=2, replicate=1
+                    )
+                }
+            )
+    for n in (1, 2, 4, 8):
+        np.testing.assert_array_equal(images[0][n], images[1][n])
+        np.testing.assert_array_equal(images[0][n], images[2][n])
+
+
+def test_counts_are_those_of_the_shares(compiled):
+    """A pixel's rays are counted: the pilot's and N of the mean pixel, and no more."""
+    scene = attrs.evolve(load("cornell_box"), resolution=(2 * SIDE, SIDE))
+    with Engine(scene, threads=2, adaptive=True) as engine:
+        *_, _ = engine.prefixes(find("ambient", None), samples=16, seed=1, replicate=0)
+    pixels = 2 * SIDE * SIDE
+    assert 8 * pixels < engine.counts["rays"] <= (8 + 16) * pixels
+
+
+@pytest.mark.parametrize(
+    ("scene_name", "term"),
+    [("cornell_box", "ambient"), ("cornell_box", "specular"), ("two_cubes", "ambient")],
+)
+def test_the_mean_is_not_moved(scene_name, term, compiled):
+    if not compiled:
+        pytest.skip("2048 renders of Python's")
+    scene = attrs.evolve(load(scene_name), resolution=(32, 24))
+    means = []
+    for adaptive, seed in ((True, 3), (False, 4)):
+        with Engine(scene, adaptive=adaptive) as engine:
+            stack = []
+            for replicate in range(64):
+                *_, (_, image, _) = engine.prefixes(
+                    find(term, None), samples=8, seed=seed, replicate=replicate
+                )
+                stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
+            means.append(np.array(stack))
+    noisy = (means[0].var(axis=0) > 0) & (means[1].var(axis=0) > 0)
+    p = stats.ttest_ind(means[0][:, noisy], means[1][:, noisy], equal_var=False).pvalue
+    assert noisy.sum() >= 20
+    assert p.min() > 1e-3 / noisy.sum()
+    # And what it is for: less noise at the same count.
+    assert means[0].var(axis=0).sum() < means[1].var(axis=0).sum()
+
+
+def test_photon_maps_are_refused():
+    with (
+        Engine(load("two_cubes"), adaptive=True) as engine,
+        pytest.raises(ValueError, match=r"adaptive = True .* allowed are"),
+    ):
+        list(engine.prefixes(find("direct", "next-event"), samples=2, seed=1, replicate=0))
