@@ -286,7 +286,7 @@ class Engine:
                 raise Cancelled
             variant.driver(self.arrays, *inputs, key, part, out, self._scratch())
 
-        for _ in self.pool.map(draw, np.array_split(work, min(len(work), self._parts))):
+        for _ in self.pool.map(draw, np.array_split(work, max(1, min(len(work), self._parts)))):
             pass
 
     def _warm(

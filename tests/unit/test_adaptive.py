@@ -4,6 +4,8 @@ Rationale: a pilot whose samples were used would bias the mean (few samples wher
 discarded: over many replicates the adaptive mean must be that of even counts, by Welch's test of each tile and channel.
 """
 
+from typing import Any
+
 import attrs
 import numpy as np
 import pytest
@@ -88,9 +90,9 @@ def test_the_mean_is_not_moved(scene_name, term, compiled):
                 stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
             means.append(np.array(stack))
     noisy = (means[0].var(axis=0) > 0) & (means[1].var(axis=0) > 0)
-    p = stats.ttest_ind(means[0][:, noisy], means[1][:, noisy], equal_var=False).pvalue
+    tested: Any = stats.ttest_ind(means[0][:, noisy], means[1][:, noisy], equal_var=False)
     assert noisy.sum() >= 20
-    assert p.min() > 1e-3 / noisy.sum()
+    assert tested.pvalue.min() > 1e-3 / noisy.sum()
     # And what it is for: less noise at the same count.
     assert means[0].var(axis=0).sum() < means[1].var(axis=0).sum()
 
