@@ -4,7 +4,7 @@ Both sides run on the same number of threads in one process, in alternating pair
 slows both members of a pair alike; the ratio of a case is the median over its pairs. Mitsuba's robust flag is what
 makes Embree watertight, as ours always is, so the ratio that counts is the one with it; the one with default flags
 stands beside it. Mitsuba is told that rays are coherent where that makes it faster. Both trace arrays of rays: ours by
-`renderer.geometry.rays`, whose packets and bundles render kernels do not use as yet.
+`renderer.geometry.rays`, in the groups of 8 that render kernels trace.
 """
 
 import os
