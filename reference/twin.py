@@ -25,7 +25,7 @@ from .terms import direct, shadows, specular
 from .wavefront import camera_samples, pixel_means, shape_pointer
 
 MAX_SURVIVAL = 0.99
-PHOTONS = 2**16  # of a map whose mean does not depend on the count
+PHOTONS = 2**18  # of a map whose mean does not depend on the count
 LIGHT_SAMPLES = 32  # a pixel and map, of the first hits that no photon stands for
 CHAINS = 16  # a pixel and map: they share the map
 POINTS = 2**14  # gathered together: bounds memory

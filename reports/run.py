@@ -49,7 +49,7 @@ from scenes.terms import TERMS, TOTAL, Term, total
 SCHEMA = 1
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
-_RINGS = 16  # times the samples a pixel of other references
+_RINGS = 10  # times the samples a pixel of other references
 
 Report = Callable[[str, int, int], object]
 
