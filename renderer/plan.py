@@ -312,7 +312,7 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
         for name, skip in SKIPS.items()
         if name not in without and (reason := skip.reason(scene, variant, chain))
     }
-    kernel = f"kernel {variant.driver.__name__.strip('_')} ({variant.name})"
+    kernel = f"kernel {variant.estimator} ({variant.name})"
     if "term" in applied:
         return [Step(term, kernel, "skip", applied["term"], {"rays": rays}, at_most=False)]
     steps = [Step(term, kernel, "runs", "the scene has this term")]

@@ -145,10 +145,12 @@ class Engine:
 
     def kernels_of(self, variant: Variant, *, chain: Chain = "next-event") -> tuple[str, ...]:
         """Names of the kernels that a variant takes here; none where its term is skipped."""
-        if "term" not in self.without and skipped(self.scene, variant.term) is not None:
+        if variant.function is not None or (
+            "term" not in self.without and skipped(self.scene, variant.term) is not None
+        ):
             return ()
         traced = needs_photons(self.scene, variant, chain, without=self.without)
-        return (variant.driver.__name__.strip("_"), *(("trace_photons", "sort") if traced else ()))
+        return (variant.estimator, *(("trace_photons", "sort") if traced else ()))
 
     def prefixes(
         self,
@@ -174,6 +176,9 @@ class Engine:
         if samples < 1:
             raise ValueError(f"samples = {samples}: allowed is at least 1")
         check(self.scene, variant, chain=chain)
+        if variant.function is not None:
+            yield from self._called(variant, samples, seed, replicate, progress, cancel)
+            return
         width, height = self.scene.resolution
         out = np.zeros((height, width, 3))
         if "term" not in self.without and skipped(self.scene, variant.term) is not None:
@@ -221,6 +226,35 @@ class Engine:
             for x0, y0, x1, y1, _, last in _work(tiles, share, 0, count).tolist():
                 counts[y0:y1, x0:x1] = last
             yield count, out / counts, seconds
+
+    def _called(
+        self,
+        variant: Variant,
+        samples: int,
+        seed: int,
+        replicate: int,
+        progress: Progress | None,
+        cancel: threading.Event | None,
+    ) -> Iterator[tuple[int, np.ndarray, float]]:
+        """Prefixes of an estimator in Python: it is called for each count, and the seconds are those of that call."""
+        assert variant.function is not None
+        width, height = self.scene.resolution
+        # 63 bits: of those that take a seed many take no more.
+        own_seed = int(root(seed, replicate) >> np.uint64(1))
+        for count in powers_of_two(samples):
+            if cancel is not None and cancel.is_set():
+                raise Cancelled
+            start = time.perf_counter()
+            image = np.asarray(variant.function(self.scene, count, own_seed), np.float64)
+            seconds = time.perf_counter() - start
+            if image.shape != (height, width, 3):
+                raise ValueError(
+                    f"{variant.term} {variant.name}: shape = {image.shape}: allowed is {(height, width, 3)}, the "
+                    "resolution of the scene it was given"
+                )
+            if progress:
+                progress(count, samples)
+            yield count, image, seconds
 
     def _pilot(
         self,
@@ -281,10 +315,13 @@ class Engine:
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
+        driver = variant.driver
+        assert driver is not None
+
         def draw(part: np.ndarray) -> None:
             if cancel is not None and cancel.is_set():
                 raise Cancelled
-            variant.driver(self.arrays, *inputs, key, part, out, self._scratch())
+            driver(self.arrays, *inputs, key, part, out, self._scratch())
 
         for _ in self.pool.map(draw, np.array_split(work, max(1, min(len(work), self._parts)))):
             pass
@@ -300,6 +337,7 @@ class Engine:
             # Its photon does not count.
             photons = self._photons(variant, chain, stored, key, 0, 1, new_scratch)
         inputs = variant.inputs(self.scene, chain, photons)
+        assert variant.driver is not None
         warm(variant.driver, self.arrays, *inputs, key, np.zeros((0, 6), np.int64), out, self._scratch())
         self.compile_seconds += time.perf_counter() - start
 

@@ -6,6 +6,7 @@ could not end. With --json one object goes to standard output, all else to stand
 
 import importlib.metadata
 import json
+import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from scenes.load import library, load
+from scenes.strict import FileError
 from scenes.terms import TERMS
 
 _messages = Console(stderr=True, soft_wrap=True)
@@ -57,6 +59,7 @@ Json = Annotated[bool, Parameter(negative="", help="One JSON object on standard 
 def compare(
     *scenes: str,
     study: str = "standard",
+    estimators: Path | None = None,
     out: Path = Path("out"),
     backend: str | None = None,
     json_: Annotated[Json, Parameter(name="--json")] = False,
@@ -69,6 +72,8 @@ def compare(
         Names of the library or paths of scene files; all scenes of the study if none.
     study
         quick, standard, full, or the path of a study file.
+    estimators
+        A Python file that calls `termwise.register`: what it registers is measured too.
     out
         The report goes to OUT/compare, or to the folder that the study names.
     backend
@@ -80,7 +85,9 @@ def compare(
     from reports import study as studies
 
     mitsuba = _choose_backend(backend)
-    chosen = studies.load(study)
+    if estimators is not None:
+        _run_file(estimators)
+    chosen = studies.with_registered(studies.load(study))
     prepared = subjects.scenes_of(chosen, scenes)
     folder = _folder(out / chosen.folder)
     results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
@@ -102,6 +109,13 @@ def compare(
         _print_results(results)
         _output.print(f"\nReport: {index.resolve()}", soft_wrap=True)
     return 1 if run.failures(results) else 0
+
+
+def _run_file(path: Path) -> None:
+    """Execute a Python file of the user's."""
+    if not path.is_file():
+        raise FileError(f"{path}: no such file: allowed is a Python file that calls termwise.register")
+    runpy.run_path(str(path), run_name=path.stem)
 
 
 @app.command

@@ -14,6 +14,7 @@ import math
 import os
 import platform
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ import numpy as np
 from reference import backend, store
 from renderer import photon_map
 from renderer.plan import plan, skipped
-from renderer.terms import Variant
+from renderer.terms import Variant, registered
 from renderer.tiles import Engine
 from reports import cells, closed_forms, exact, images, metrics, verdict
 from reports.cells import Cell
@@ -89,7 +90,7 @@ def _described(*used: store.Replicates) -> dict[str, Any]:
 
 
 def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
-    """sha256 of all that decides a run's results but the speed of the machine."""
+    """sha256 of all that decides a run's results but the speed of the machine; new each time with registered ones."""
     sources = sources_digest(*(PROJECT / name for name in ("renderer", "reference", "scenes", "reports")))
     settings = (
         attrs.asdict(study),
@@ -97,6 +98,7 @@ def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
         variant,
         sources,
         versions(),
+        [time.time_ns() for term in TERMS if set(registered(term)) & set(study.variants_of(term))],
     )
     return hashlib.sha256(repr(settings).encode()).hexdigest()
 

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import attrs
 
-from renderer.terms import VARIANTS, Chain, Variant, find
+from renderer.terms import VARIANTS, Chain, Variant, find, registered
 from reports.convergence import RADII_NEEDED
 from scenes import strict
 from scenes.model import in_range, positive, unit_interval
@@ -187,3 +187,15 @@ def load(study: str | Path) -> Study:
             f"{study}: no such study: allowed are {', '.join(studies())} or a path that ends in .toml"
         )
     return strict.read(path, Study, strict.converter())
+
+
+def with_registered(study: Study) -> Study:
+    """The study with all estimators that were added by `renderer.terms.register`."""
+    added = {
+        term: (
+            *study.variants_of(term),
+            *(name for name in registered(term) if name not in study.variants_of(term)),
+        )
+        for term in VARIANTS
+    }
+    return attrs.evolve(study, variants=Variants(**added))

@@ -1,7 +1,13 @@
 """The summands of L_o: one file each, its variants in one table; the first of each table is the default."""
 
+import re
+from collections.abc import Callable
+from typing import Literal
+
 from renderer.terms import ambient, background, direct, specular
-from renderer.terms.variant import Chain, Variant
+from renderer.terms.variant import Chain, Function, Variant
+from scenes.limits import Limit
+from scenes.model import Scene
 from scenes.terms import TERMS, Term
 
 VARIANTS: dict[Term, dict[str, Variant]] = {
@@ -10,7 +16,7 @@ VARIANTS: dict[Term, dict[str, Variant]] = {
 }
 DEFAULTS: dict[Term, str] = {term: next(iter(VARIANTS[term])) for term in TERMS}
 
-__all__ = ["DEFAULTS", "VARIANTS", "Chain", "Variant", "find"]
+__all__ = ["DEFAULTS", "VARIANTS", "Chain", "Variant", "find", "register", "registered"]
 
 
 def find(term: str, name: str | None = None) -> Variant:
@@ -22,3 +28,56 @@ def find(term: str, name: str | None = None) -> Variant:
     if name not in table:
         raise ValueError(f"variant = {name!r} of {term}: allowed are {', '.join(table)}")
     return table[name]
+
+
+def register(
+    term: Term,
+    name: str,
+    function: Function,
+    limit: Limit | Callable[[Scene], Limit],
+    *,
+    kind: Literal["right", "wrong"] = "right",
+    source: str = "",
+) -> Variant:
+    """Add an estimator in Python to a term's table: a study then measures and judges it like any other.
+
+    Parameters
+    ----------
+    term : "ambient", "direct", "specular" or "background".
+    name : lower-case words joined by hyphens; not one that the table has.
+    function : (scene, samples, seed) -> image (H, W, 3), linear radiance of that term, its weights inside. Equal seeds
+        give equal images, different ones independent images.
+    limit : the integral that it is meant to converge to.
+    kind : "wrong" where it is not meant to be the term's true integral.
+    source : where it comes from.
+
+    Raises
+    ------
+    ValueError
+        An unknown term, a name that exists or has other characters, a limit of another term.
+    """
+    table = VARIANTS[find(term).term]
+    if name in table:
+        raise ValueError(f"register: name = {name!r} of {term}: exists; taken are {', '.join(table)}")
+    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
+        raise ValueError(f"register: name = {name!r}: allowed are lower-case words joined by hyphens")
+    if isinstance(limit, Limit) and limit.term != term:
+        raise ValueError(f"register: limit.term = {limit.term!r}: allowed is {term!r}")
+    given = limit
+    variant = Variant(
+        name=name,
+        term=term,
+        function=function,
+        limit=lambda scene, samples: given if isinstance(given, Limit) else given(scene),
+        kind=kind,
+        equation=rf"\text{{{name}}}(N)",
+        converges_to=r"\text{its limit}",
+        source=source or f"registered: {getattr(function, '__qualname__', 'a function')}",
+    )
+    table[name] = variant
+    return variant
+
+
+def registered(term: Term) -> tuple[str, ...]:
+    """Names of the estimators of a term that were added by `register`."""
+    return tuple(name for name, variant in VARIANTS[term].items() if variant.function is not None)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import attrs
+import numpy as np
 
 from renderer.photon_map import PhotonMap
 from scenes.limits import Kernel, Limit
@@ -17,6 +18,7 @@ Chain = Literal["next-event", "path", "paper"]
 # Photons kept in a map: those that were scattered at least once, or all; or all, those that survive the roulette being
 # left as they were.
 Stored = Literal["scattered", "all", "unweighted"]
+Function = Callable[[Scene, int, int], np.ndarray]
 
 
 @attrs.frozen
@@ -29,6 +31,8 @@ class Variant:
     term : the term it estimates.
     driver : the kernel `driver(scene, *inputs, key, work, out, scratch)`, which adds the samples of all tiles of
         `work` (see `film.item_of`) to `out` (H, W, 3) float64.
+    function : (scene, samples, seed) -> image (H, W, 3), linear radiance, in place of a driver: an estimator in
+        Python, see `renderer.terms.register`.
     inputs : (scene, chain, photon map) -> the driver's further arguments.
     limit : (scene, samples) -> Limit, what it converges to; for estimates with a shrinking kernel the limit is that of
         so many samples.
@@ -47,12 +51,13 @@ class Variant:
 
     name: str
     term: Term
-    driver: Callable[..., None]
     limit: Callable[[Scene, int], Limit]
     kind: Literal["right", "wrong"]
     equation: str
     converges_to: str
     source: str
+    driver: Callable[..., None] | None = None
+    function: Function | None = None
     inputs: Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]] = lambda scene, chain, photons: ()
     photons: Callable[[Scene, Chain], Stored | None] = lambda scene, chain: None
     kernel: Callable[[Scene, int], Kernel | None] = lambda scene, samples: None
@@ -61,6 +66,11 @@ class Variant:
     ratio: Callable[[Scene], float | None] = lambda scene: None
     judged: bool = True
     why_not: str = ""
+
+    @property
+    def estimator(self) -> str:
+        """Name of the kernel or of the function that computes it."""
+        return getattr(self.driver or self.function, "__name__", "function").strip("_")
 
     def kernel_based(self, scene: Scene) -> bool:
         """Whether its bias vanishes only as a photon kernel shrinks."""

@@ -1,0 +1,126 @@
+"""Estimators of one's own: registered, measured like any other, and caught where they are wrong.
+
+Rationale: the example of the README is run as a user would run it. Averaging after gamma encoding is too dark wherever
+samples differ: with an open share A of the hemisphere a sample is 1 or 0, and the mean of n of them to the power 2.2
+tends to `A^2.2 < A`. The cosine estimator that it is built on must stay EQUIVALENT in the same run.
+"""
+
+from collections.abc import Iterator
+
+import attrs
+import numpy as np
+import pytest
+
+import termwise
+from renderer.terms import VARIANTS, find, registered
+from reports import cli, run, study, subjects
+from scenes.limits import Limit
+from scenes.load import load
+from scenes.store import PROJECT
+
+EXAMPLE = PROJECT / "examples" / "gamma_space.py"
+
+
+@pytest.fixture(autouse=True)
+def tables() -> Iterator[None]:
+    """Put the tables back as they were."""
+    before = {term: dict(table) for term, table in VARIANTS.items()}
+    yield
+    for term, table in VARIANTS.items():
+        table.clear()
+        table.update(before[term])
+
+
+def black(scene, samples, seed):
+    return np.zeros((*scene.resolution[::-1], 3))
+
+
+def test_a_wrong_estimator_is_caught(tmp_path):
+    cli._run_file(EXAMPLE)
+    assert registered("ambient") == ("gamma-space",)
+    small = attrs.evolve(
+        study.with_registered(study.load("quick")),
+        resolution=(24, 24),
+        replicates=8,
+        reference_replicates=8,
+        samples={"ambient": 4},
+        variants=study.Variants(ambient=("cosine", "gamma-space"), direct=("path",), specular=("vndf",)),
+    )
+    scenes = subjects.scenes_of(small, ("cornell_box",))
+    scenes = tuple(attrs.evolve(scene, scope="all") for scene in scenes)
+    results = run.measure(small, scenes, tmp_path, name="quick", report=lambda what, done, total: None)
+    verdicts = {
+        row["variant"]: row for row in results["cells"] if row["term"] == "ambient" and row["verdict"]
+    }
+    assert verdicts["gamma-space"]["verdict"] == "BIASED"
+    assert verdicts["gamma-space"]["bias"] < -0.05
+    assert verdicts["cosine"]["verdict"] != "BIASED"
+    prefixes = [
+        row["samples"]
+        for row in results["cells"]
+        if row["variant"] == "gamma-space" and row["against"] == "own"
+    ]
+    assert sorted(prefixes) == [1, 2, 4]
+
+
+def test_a_run_with_python_estimators_is_never_taken_for_an_old_one():
+    kept = study.load("quick")
+    scenes = subjects.scenes_of(kept, ("cornell_box",))
+    assert run.digest(kept, scenes, "x") == run.digest(kept, scenes, "x")
+    termwise.register("ambient", "black", black, Limit("ambient"))
+    new = study.with_registered(kept)
+    assert run.digest(new, scenes, "x") != run.digest(new, scenes, "x")
+
+
+def test_replicates_have_seeds_of_their_own_and_prefixes_share_them():
+    from renderer import Engine
+
+    asked = []
+
+    def noted(scene, samples, seed):
+        asked.append((samples, seed))
+        return black(scene, samples, seed)
+
+    variant = termwise.register("ambient", "noted", noted, lambda scene: Limit("ambient"))
+    with Engine(attrs.evolve(load("cornell_box"), resolution=(4, 3))) as engine:
+        for replicate in range(2):
+            assert [n for n, _, _ in engine.prefixes(variant, samples=4, seed=1, replicate=replicate)] == [
+                1,
+                2,
+                4,
+            ]
+    assert [samples for samples, _ in asked] == [1, 2, 4, 1, 2, 4]
+    assert len({seed for _, seed in asked[:3]}) == len({seed for _, seed in asked[3:]}) == 1
+    assert asked[0][1] != asked[3][1]
+    assert all(0 <= seed < 2**63 for _, seed in asked)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("ambience", "mine", black, Limit("ambient")), ["'ambience'", "allowed are", "ambient"]),
+        (("ambient", "cosine", black, Limit("ambient")), ["'cosine'", "exists"]),
+        (("ambient", "My Own", black, Limit("ambient")), ["'My Own'", "allowed are", "hyphens"]),
+        (("ambient", "mine", black, Limit("direct")), ["'direct'", "allowed is 'ambient'"]),
+    ],
+)
+def test_what_cannot_be_registered(arguments, words):
+    with pytest.raises(ValueError, match="allowed|exists") as error:
+        termwise.register(*arguments)
+    assert all(word in str(error.value) for word in words)
+    assert "mine" not in VARIANTS["ambient"]
+
+
+def test_an_image_of_another_size_is_refused():
+    termwise.register("ambient", "small", lambda scene, samples, seed: np.zeros((2, 2, 3)), Limit("ambient"))
+    with pytest.raises(ValueError, match=r"ambient small: shape = \(2, 2, 3\): allowed is"):
+        termwise.render(load("cornell_box"), "ambient", variant="small", samples=1)
+    assert find("ambient", "small").kernel_based(load("cornell_box")) is False
+
+
+def test_a_missing_file_is_one_line(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["termwise", "compare", "cornell_box", "--estimators", "nowhere.py"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert "nowhere.py: no such file" in capsys.readouterr().err
