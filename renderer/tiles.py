@@ -145,9 +145,9 @@ class Engine:
 
     def kernels_of(self, variant: Variant, *, chain: Chain = "next-event") -> tuple[str, ...]:
         """Names of the kernels that a variant takes here; none where its term is skipped."""
-        if variant.function is not None or (
-            "term" not in self.without and skipped(self.scene, variant.term) is not None
-        ):
+        if variant.function is not None:
+            return (f"{variant.estimator}, in Python",)
+        if "term" not in self.without and skipped(self.scene, variant.term) is not None:
             return ()
         traced = needs_photons(self.scene, variant, chain, without=self.without)
         return (variant.estimator, *(("trace_photons", "sort") if traced else ()))
