@@ -359,9 +359,12 @@ def _rows(
         if subject.setting is None and variant is subject.variants[term][0]:
             others.append(("physical", references.rendered[limits.physical(term)], None))
         for against, kept, predicted in others:
+            fields = _identity(subject, term, variant.name, kind, against)
+            if against == "physical" and not at_own.absent:
+                fields["split"] = _split(cell.images[:, -1], own.images, kept.images)
             rows.append(
                 _row(
-                    _identity(subject, term, variant.name, kind, against),
+                    fields,
                     cell.images[:, -1],
                     kept.images,
                     scene,
@@ -568,6 +571,7 @@ def _row(
     squares = {"rmse": error.value, "rmse_low": error.low(0.05), "rmse_high": error.high(0.05)}
     fields = {
         **_curve(None),
+        "split": None,
         **fields,
         "samples": samples,
         "replicates": len(ours),
@@ -586,6 +590,17 @@ def _ssim(truth: np.ndarray, shown: np.ndarray, exposure: float) -> float | None
     if min(truth.shape[:2]) < metrics.SSIM_WINDOW:
         return None
     return float(np.mean([metrics.ssim(truth, image, exposure=exposure) for image in shown]))
+
+
+def _split(ours: np.ndarray, own: np.ndarray, physical: np.ndarray) -> dict[str, list[float]]:
+    """Parts of one replicate's mean square error against full light transport: value and 90 % interval, radiance²."""
+    parts = verdict.split_error(ours, own, physical)
+    return {
+        name: [part.value, part.low(0.05), part.high(0.05)]
+        for name, part in (
+            (field.name, getattr(parts, field.name)) for field in attrs.fields(verdict.ErrorSplit)
+        )
+    }
 
 
 def _curve(curve: Convergence | None) -> dict[str, Any]:

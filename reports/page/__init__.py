@@ -168,6 +168,15 @@ class _Scene:
         """Convergence of all variants of a term, as a plotly figure."""
         return charts.convergence({name: self.prefixes(term, name) for name in self.terms[term]})
 
+    def split(self, term: str) -> dict[str, Any] | None:
+        """Parts of the error against full light transport: of which variant, their numbers and their figure."""
+        for name in self.terms[term]:
+            row = self.row(term, name, "physical")
+            if row and row.get("split"):
+                parts = [(label, *row["split"][part]) for part, label in charts.PARTS]
+                return {"variant": name, "parts": parts, "figure": charts.waterfall(row["split"])}
+        return None
+
     @property
     def worst(self) -> str:
         """The gravest word among the scene's rows."""

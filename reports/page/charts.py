@@ -123,6 +123,55 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
     return figure.to_plotly_json()
 
 
+# Parts of the mean square error, as results name them and as a reader does.
+PARTS = (
+    ("model_gap", "model gap²"),
+    ("cross", "2 gap × bias"),
+    ("bias", "bias²"),
+    ("variance", "variance"),
+    ("total", "MSE"),
+)
+
+
+def waterfall(split: dict[str, list[float]]) -> dict[str, Any]:
+    """The parts of a mean square error one upon the other, each with its interval, and their sum.
+
+    Parameters
+    ----------
+    split : part -> value and ends of its interval, radiance²; the cross term, and any part by chance, may be negative.
+    """
+    value, low, high = (np.array([split[name][k] for name, _ in PARTS]) for k in range(3))
+    base = np.concatenate([[0.0], np.cumsum(value[:-2]), [0.0]])
+    figure = go.Figure(
+        go.Bar(
+            x=[label for _, label in PARTS],
+            y=value.tolist(),
+            base=base.tolist(),
+            marker={"color": [COLOURS[4], COLOURS[3], COLOURS[1], COLOURS[0], COLOURS[2]]},
+            error_y={
+                "type": "data",
+                "symmetric": False,
+                "array": (high - value).tolist(),
+                "arrayminus": (value - low).tolist(),
+                "thickness": 1.2,
+                "width": 5,
+            },
+            customdata=value.tolist(),
+            hovertemplate="%{x}<br>%{customdata:.3g} radiance²<extra></extra>",
+            showlegend=False,
+        )
+    )
+    figure.update_yaxes(title="mean square error (radiance²)", tickformat=".2~g")
+    figure.update_layout(
+        template="none",
+        height=400,
+        margin={"l": 90, "r": 16, "t": 16, "b": 40},
+        paper_bgcolor="rgba(0,0,0,0)",
+        plot_bgcolor="rgba(0,0,0,0)",
+    )
+    return figure.to_plotly_json()
+
+
 def error_against_time(ours: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> dict[str, Any]:
     """RMSE against seconds of rendering: our variants in colours, Mitsuba's settings grey, the fastest of them dark.
 

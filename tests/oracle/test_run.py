@@ -192,6 +192,21 @@ def test_verdicts_are_due_against_own_at_the_largest_count(results: dict[str, An
             assert (row[key] is not None) == measured, (key, row)
 
 
+def test_the_error_against_light_transport_is_split(results: dict[str, Any]):
+    """Four parts that add up, and a sum that is the row's own mean square error; a plane reflects nothing."""
+    split = [row for row in results["cells"] if row["split"]]
+    assert {(row["term"], row["against"]) for row in split} == {
+        ("ambient", "physical"),
+        ("direct", "physical"),
+    }
+    for row in split:
+        total = row["split"]["total"][0]
+        parts = [row["split"][name][0] for name in ("model_gap", "cross", "bias", "variance")]
+        assert sum(parts) == pytest.approx(total, rel=1e-9)
+        assert total == pytest.approx(row["rmse"] ** 2, rel=1e-6)
+        assert all(low <= value <= high for value, low, high in row["split"].values())
+
+
 def test_the_level_counts_the_tests_of_all_judged_rows(results: dict[str, Any]):
     """A judged row tests 3 channels of the image and of each object, and, unless kernel-based, 2 shapes and a place."""
     judged = [row for row in results["cells"] if row["tests"] is not None]

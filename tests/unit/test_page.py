@@ -456,3 +456,14 @@ def test_contrast_is_that_of_wcag_aa(theme):
     for front, back in pairs:
         lights = sorted([luminance(colours[front]), luminance(colours[back])])
         assert (lights[1] + 0.05) / (lights[0] + 0.05) >= 4.5, (front, back)
+
+
+def test_waterfall_stands_one_part_upon_the_other():
+    """Bars of gap 4, cross -1, bias 0.5, variance 2: each begins where the last ended, and the sum from zero."""
+    parts = {"model_gap": 4.0, "cross": -1.0, "bias": 0.5, "variance": 2.0, "total": 5.5}
+    split = {name: [value, value - 0.1, value + 0.2] for name, value in parts.items()}
+    (bars,) = charts.waterfall(split)["data"]
+    assert bars["y"] == [4.0, -1.0, 0.5, 2.0, 5.5]
+    assert bars["base"] == [0.0, 4.0, 3.0, 3.5, 0.0]
+    np.testing.assert_allclose(bars["error_y"]["array"], 0.2)
+    np.testing.assert_allclose(bars["error_y"]["arrayminus"], 0.1)
