@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from renderer.aim import cone
 from renderer.geometry import bvh
 from renderer.geometry.bvh import Tree
 from renderer.openness import open_sides
@@ -72,6 +73,9 @@ class Emitters(NamedTuple):
     face : (E,), face indices.
     area : (E,), area of each face.
     cdf : (P + E,), running sum of the picking probabilities; the last entry is 1. Empty without lights.
+    axis, cosine : (P, 3), (P,), the cone around the scene of each point light, see `renderer.aim`.
+    aimed : (P + E,), the same sum as `cdf`, a point light's power being that within its cone.
+    share : that power over all power.
     """
 
     point: np.ndarray
@@ -79,6 +83,10 @@ class Emitters(NamedTuple):
     face: np.ndarray
     area: np.ndarray
     cdf: np.ndarray
+    axis: np.ndarray
+    cosine: np.ndarray
+    aimed: np.ndarray
+    share: float
 
 
 class ShadowRule(NamedTuple):
@@ -157,7 +165,7 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
     return SceneArrays(
         geometry,
         _materials(scene, without),
-        _emitters(scene, geometry),
+        _emitters(scene, geometry.corners, geometry.object),
         _shadow_rule(scene),
         _sky(scene, without),
         _camera(scene.camera, scene.resolution),
@@ -220,25 +228,46 @@ def _materials(scene: Scene, without: Collection[str]) -> Materials:
     )
 
 
-def _emitters(scene: Scene, geometry: Geometry) -> Emitters:
+def emitters_of(scene: Scene) -> Emitters:
+    """The lights of a scene, without its tree."""
+    meshes = [thing.mesh for thing in scene.objects]
+    corners = [np.zeros((0, 3, 3)), *(mesh.vertices[mesh.faces] for mesh in meshes)]
+    owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+    return _emitters(scene, np.concatenate(corners), owner)
+
+
+def _emitters(scene: Scene, corners: np.ndarray, owner: np.ndarray) -> Emitters:
     points: list[PointLight] = []
     faces = np.zeros(0, np.int32)
     if scene.toggles.lighting:
         points = [light for light in scene.lights if any(light.intensity)]
         emits = np.array([thing.emits for thing in scene.objects], np.bool_)
         if emits.any():
-            faces = np.flatnonzero(emits[geometry.object]).astype(np.int32)
-    edges = geometry.corners[faces]
+            faces = np.flatnonzero(emits[owner]).astype(np.int32)
+    edges = corners[faces]
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1)
     faces, area = faces[area > 0], area[area > 0]
     intensity = np.array([light.intensity for light in points]).reshape(-1, 3)
-    radiance = np.array([thing.emission for thing in scene.objects]).reshape(-1, 3)[geometry.object[faces]]
-    power = np.concatenate([4.0 * math.pi * intensity.mean(axis=1), math.pi * area * radiance.mean(axis=1)])
+    radiance = np.array([thing.emission for thing in scene.objects]).reshape(-1, 3)[owner[faces]]
+    position = np.array([light.position for light in points]).reshape(-1, 3)
+    cones = [cone(point, corners.reshape(-1, 3)) for point in position]
+    axis = np.array([axis for axis, _ in cones]).reshape(-1, 3)
+    cosine = np.array([cosine for _, cosine in cones])
+    solid_angle = 2.0 * math.pi * (1.0 - cosine)
+
+    lamps = math.pi * area * radiance.mean(axis=1)
+    powers = [np.append(angle * intensity.mean(axis=1), lamps) for angle in (4.0 * math.pi, solid_angle)]
+    cdf, aimed = map(_running_sum, powers)
+    share = float(powers[1].sum() / powers[0].sum()) if len(cdf) else 1.0
+    return Emitters(position, intensity, faces, area, cdf, axis, cosine, aimed, share)
+
+
+def _running_sum(power: np.ndarray) -> np.ndarray:
+    """Of the probabilities that go as `power`; the last entry is 1."""
     cdf = np.cumsum(power) / power.sum() if len(power) else power
     if len(cdf):
         cdf[-1] = 1.0
-    position = np.array([light.position for light in points]).reshape(-1, 3)
-    return Emitters(position, intensity, faces, area, cdf)
+    return cdf
 
 
 def _shadow_rule(scene: Scene) -> ShadowRule:

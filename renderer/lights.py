@@ -7,7 +7,9 @@ Unbiased at any count.
 
 import math
 
-from renderer.arrays import Emitters, SceneArrays
+import numpy as np
+
+from renderer.arrays import SceneArrays
 from renderer.jit import device
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
@@ -17,18 +19,18 @@ from renderer.warp import INV_PI, square_to_triangle
 
 
 @device
-def pick(emitters: Emitters, u: float) -> tuple[int, float]:
-    """Index of an emitter and the probability of picking it."""
+def pick(cdf: np.ndarray, u: float) -> tuple[int, float]:
+    """Index of an emitter and the probability of picking it, by the running sum of the probabilities."""
     low = 0
-    high = len(emitters.cdf) - 1
+    high = len(cdf) - 1
     while low < high:
         middle = (low + high) // 2
-        if u < emitters.cdf[middle]:
+        if u < cdf[middle]:
             high = middle
         else:
             low = middle + 1
-    before = emitters.cdf[low - 1] if low > 0 else 0.0
-    return low, emitters.cdf[low] - before
+    before = cdf[low - 1] if low > 0 else 0.0
+    return low, cdf[low] - before
 
 
 @device
@@ -46,7 +48,7 @@ def sample_light(
     index = 0
     probability = 1.0
     if len(emitters.cdf) > 1:
-        index, probability = pick(emitters, sample_1d(sampler, dimension))
+        index, probability = pick(emitters.cdf, sample_1d(sampler, dimension))
     points = len(emitters.point)
     target = -1
     if index < points:

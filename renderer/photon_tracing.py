@@ -40,7 +40,12 @@ from renderer.vector import (
     to_world,
     vec3,
 )
-from renderer.warp import square_to_cosine_hemisphere, square_to_triangle, square_to_uniform_sphere
+from renderer.warp import (
+    square_to_cosine_hemisphere,
+    square_to_triangle,
+    square_to_uniform_cone,
+    square_to_uniform_sphere,
+)
 
 # Below 1, so that a path in a closed box of albedo 1 ends; 1 / P keeps the mean.
 MAX_SURVIVAL = 0.99
@@ -63,12 +68,19 @@ class Scattering(NamedTuple):
         sequence: less noise in a sum over them, but they land too evenly for a search of the k nearest, whose k-th
         photon then stands too far (k = 50 of 16384 under a point light: E comes out 1.004 and not k / (k - 1) = 1.020
         times too bright).
+    aimed : whether point lights emit into the cone around the scene alone, fewer photons of the same flux: those that
+        are left out meet nothing. On the monkey, whose ground leaves a quarter of its light's sphere, that takes 0.5 to
+        0.7 of the processor time at the same variance (direct and specular, 10 and 50 thousand photons a pass). As many
+        photons in the cone as in the sphere had 0.14 to 0.34 of the variance of direct in 1.3 to 1.9 times the time,
+        and cost specular 1.4 times the time for a tenth of its variance. Not for a search of the k nearest, whose mean
+        depends on how many photons are emitted.
     """
 
     survival: float
     weighted: bool
     full: bool
     independent: bool
+    aimed: bool
 
 
 @device
@@ -80,13 +92,18 @@ def _sampler(rule: Scattering, key: np.uint64, index: int) -> Sampler:
 
 
 @device
-def _emit(scene: SceneArrays, sampler: Sampler) -> tuple[Vec3, Vec3, Vec3, int]:
+def _emit(scene: SceneArrays, aimed: bool, sampler: Sampler) -> tuple[Vec3, Vec3, Vec3, int]:
     """Origin, direction, power and face (-1: a point light) of a photon, one of one."""
     emitters = scene.emitters
-    index, probability = pick(emitters, sample_1d(sampler, 0))
+    index, probability = pick(emitters.aimed if aimed else emitters.cdf, sample_1d(sampler, 0))
     points = len(emitters.point)
     if index < points:
         u, v = sample_2d(sampler, 2)
+        cosine = emitters.cosine[index]
+        if aimed and cosine > 0.0:
+            power = scale(vec3(emitters.intensity, index), 2.0 * math.pi * (1.0 - cosine) / probability)
+            local = square_to_uniform_cone(u, v, cosine)
+            return vec3(emitters.point, index), to_world(frame(vec3(emitters.axis, index)), local), power, -1
         power = scale(vec3(emitters.intensity, index), 4.0 * math.pi / probability)
         return vec3(emitters.point, index), square_to_uniform_sphere(u, v), power, -1
     face = entry(emitters.face, index - points)
@@ -163,7 +180,7 @@ def _trace_photons(
     landed = 0
     scratch.counts[PHOTONS] += last - first
     for index in range(first, last):
-        origin, heading, flux, origin_face = _emit(scene, _sampler(rule, key, index))
+        origin, heading, flux, origin_face = _emit(scene, rule.aimed, _sampler(rule, key, index))
         depth = 0
         while not is_black(flux):
             surface = trace(scene, make_ray(origin, heading), origin_face, scratch)
@@ -209,7 +226,7 @@ def emit(
     Parameters
     ----------
     key : the replicate's root key.
-    count : photons emitted.
+    count : photons emitted; fewer where they are aimed.
     radius, shape : of the kernel of this pass, see `photon_map.build`.
     rule : how photons go on.
     first_hits : whether photons that come straight from a light are stored.
@@ -218,10 +235,11 @@ def emit(
     """
     if len(scene.emitters.cdf) == 0:
         return empty(radius)
+    emitted = max(1, math.ceil(count * scene.emitters.share)) if rule.aimed else count
     photons_key = stream(stream(key, _STREAM), index)
 
     def chunk(first: int) -> tuple[np.ndarray, ...]:
-        last = min(first + _CHUNK, count)
+        last = min(first + _CHUNK, emitted)
         capacity = 4 * (last - first)
         while True:
             position, direction, power = np.empty((3, capacity, 3))
@@ -233,6 +251,6 @@ def emit(
                 return position[:landed], direction[:landed], power[:landed], face[:landed]
             capacity = landed
 
-    chunks = list(pool.map(chunk, range(0, count, _CHUNK)))
+    chunks = list(pool.map(chunk, range(0, emitted, _CHUNK)))
     position, direction, power, face = (np.concatenate(parts) for parts in zip(*chunks, strict=True))
-    return build(position, direction, power / count, face, radius, shape)
+    return build(position, direction, power / emitted, face, radius, shape)

@@ -12,6 +12,7 @@ from typing import Literal
 import attrs
 import numpy as np
 
+from renderer.arrays import emitters_of
 from renderer.openness import open_sides
 from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
@@ -30,6 +31,16 @@ class Skip:
     why : why the image has the same bytes without it.
     reason : scene, variant, chain -> why it applies there, or None; of a skip that is decided at each hit, where.
     """
+
+    name: str
+    work: str
+    why: str
+    reason: Callable[[Scene, Variant, Chain], str | None]
+
+
+@attrs.frozen
+class Economy:
+    """Fewer samples, or better ones, for the same expectation; the fields are those of a skip."""
 
     name: str
     work: str
@@ -286,6 +297,27 @@ SKIPS: dict[str, Skip] = {
 }
 
 
+def photons_of_a_pass(scene: Scene, variant: Variant, chain: Chain, without: Collection[str] = ()) -> int:
+    """How many photons a map is made of: those that are aimed at the scene, see `photon_tracing.Scattering`."""
+    if "aimed" in without or variant.by_nearest(scene, chain):
+        return scene.photons.count
+    return max(1, math.ceil(scene.photons.count * emitters_of(scene).share))
+
+
+def _aimed(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    if needs_photons(scene, variant, chain) is None or variant.by_nearest(scene, chain):
+        return None
+    share = emitters_of(scene).share
+    return f"{100 * share:.0f} % of the light is emitted towards the scene" if share < 1.0 else None
+
+
+ECONOMIES: dict[str, Economy] = {
+    "aimed": Economy(
+        "aimed", "photons that meet nothing", "those in the cone around the scene carry its flux", _aimed
+    ),
+}
+
+
 def plan(
     scene: Scene,
     variants: dict[Term, Variant],
@@ -340,14 +372,18 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
         steps.append(Step(term, "shadow rays", "runs", "one a light sample"))
         skip("horizon", "unlit shadow rays")
     stored = variant.photons(scene, chain)
+    emitted = photons_of_a_pass(scene, variant, chain, without)
     if "photons" in applied:
-        skip("photons", "photon maps", photons=samples * scene.photons.count)
+        skip("photons", "photon maps", photons=samples * emitted)
     elif stored:
-        why = f"{scene.photons.count} photons a pass, {stored} kept, radius {scene.photons.radius:g} at first"
+        why = f"{emitted} photons a pass, {stored} kept, radius {scene.photons.radius:g} at first"
         steps.append(Step(term, "photon maps", "runs", why))
+        if "aimed" not in without and (reason := ECONOMIES["aimed"].reason(scene, variant, chain)):
+            spared = samples * (scene.photons.count - emitted)
+            steps.append(Step(term, ECONOMIES["aimed"].work, "economy", reason, {"photons": spared}))
     elif term == "direct":
         why = "first hits need none" if variant.name != "path" else "paths follow the light's bounces"
-        steps.append(Step(term, "photon maps", "skip", why, {"photons": samples * scene.photons.count}))
+        steps.append(Step(term, "photon maps", "skip", why, {"photons": samples * emitted}))
     if term in ("background", "specular") and not scene.sky.is_black:
         if "texture" in applied:
             skip("texture", "sky texture")

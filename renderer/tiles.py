@@ -16,7 +16,7 @@ from renderer.adaptive import PILOT, SIDE, shares
 from renderer.arrays import SceneArrays, from_scene
 from renderer.film import GeometryImages, Tile, trace_centres
 from renderer.jit import warm
-from renderer.plan import SKIPS, check, may_see, needs_every_pixel, needs_photons, skipped
+from renderer.plan import ECONOMIES, SKIPS, check, may_see, needs_every_pixel, needs_photons, skipped
 from renderer.rng import root, stream
 from renderer.scratch import COUNTERS, Scratch, new_scratch
 from renderer.terms.variant import Chain, Stored, Variant
@@ -77,7 +77,8 @@ class Engine:
     ----------
     scene : the scene.
     threads : number of threads; None: one a core.
-    without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work.
+    without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work; or of ECONOMIES: the same
+        mean for more noise.
     adaptive : whether a pilot decides how many samples each tile gets, see `renderer.adaptive`; N is then the mean.
 
     Attributes
@@ -96,9 +97,10 @@ class Engine:
     ) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads = {threads}: allowed is at least 1")
+        allowed = *SKIPS, *ECONOMIES
         for name in without:
-            if name not in SKIPS:
-                raise ValueError(f"without = {name!r}: allowed are {', '.join(SKIPS)}")
+            if name not in allowed:
+                raise ValueError(f"without = {name!r}: allowed are {', '.join(allowed)}")
         self.scene = scene
         self.without = frozenset(without)
         self.arrays: SceneArrays = from_scene(scene, without=self.without)
@@ -353,14 +355,14 @@ class Engine:
     ) -> photon_map.PhotonMap:
         """The map of pass `index`."""
         photons = self.scene.photons
-        kernel = variant.kernel(self.scene, 1)
-        by_nearest = kernel.shape == "nearest" if kernel else chain == "paper"
+        by_nearest = variant.by_nearest(self.scene, chain)
         rule = photon_tracing.Scattering(
             survival=photons.survival or 0.0,
             weighted=stored != "unweighted",
             # The operator of a specular chain means diffuse scattering.
             full=photons.scattering == "full" and variant.term == "direct",
             independent=by_nearest,
+            aimed=not by_nearest and "aimed" not in self.without,
         )
         return photon_tracing.emit(
             self.arrays,

@@ -47,6 +47,16 @@ def square_to_uniform_sphere(u: float, v: float) -> Vec3:
 
 
 @device
+def square_to_uniform_cone(u: float, v: float, cosine: float) -> Vec3:
+    """Uniform direction within the cone of half angle acos(cosine) around z; density 1 / (2 pi (1 - cosine))."""
+    # The height below the tip keeps its digits in a narrow cone.
+    below = u * (1.0 - cosine)
+    r = math.sqrt(max(0.0, below * (2.0 - below)))
+    sin, cos = sin_cos_turn(v)
+    return Vec3(r * cos, r * sin, 1.0 - below)
+
+
+@device
 def hemisphere_ring(mu: float, v: float) -> Vec3:
     """Direction of cosine `mu` and azimuth 2 pi v; with mu uniform the density is 1 / (2 pi)."""
     r = math.sqrt(max(0.0, 1.0 - mu * mu))

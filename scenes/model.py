@@ -259,7 +259,7 @@ class Photons:
 
     Attributes
     ----------
-    count : photons emitted per pass.
+    count : photons emitted per pass, in all directions; those that cannot meet the scene need not be traced.
     radius : kernel radius of the first pass.
     nearest : k of the paper's search.
     kernel : the kernel of a radius; all three are named in `scenes.limits.Kernel`.

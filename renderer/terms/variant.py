@@ -72,6 +72,11 @@ class Variant:
         """Name of the kernel or of the function that computes it."""
         return getattr(self.driver or self.function, "__name__", "function").strip("_")
 
+    def by_nearest(self, scene: Scene, chain: Chain) -> bool:
+        """Whether its maps are searched for the k nearest photons, whose mean depends on how many are emitted."""
+        kernel = self.kernel(scene, 1)
+        return kernel.shape == "nearest" if kernel else chain == "paper"
+
     def kernel_based(self, scene: Scene) -> bool:
         """Whether its bias vanishes only as a photon kernel shrinks."""
         return self.kernel(scene, 1) is not None

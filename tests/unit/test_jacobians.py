@@ -23,6 +23,7 @@ from renderer.warp import (
     square_to_cosine_hemisphere,
     square_to_cosine_hemisphere_pdf,
     square_to_triangle,
+    square_to_uniform_cone,
     square_to_uniform_sphere,
 )
 from scenes.analytic import plate
@@ -52,13 +53,15 @@ def interior(count: int) -> list[list[float]]:
     ("sample", "density"),
     [
         (square_to_uniform_sphere, lambda w: 1 / (4 * math.pi)),
+        (lambda u, v: square_to_uniform_cone(u, v, 0.9), lambda w: 1 / (0.2 * math.pi)),
+        (lambda u, v: square_to_uniform_cone(u, v, -0.5), lambda w: 1 / (3 * math.pi)),
         (hemisphere_ring, lambda w: 1 / (2 * math.pi)),
         (square_to_cosine_hemisphere, lambda w: square_to_cosine_hemisphere_pdf(w.z)),
     ],
-    ids=("sphere", "hemisphere", "cosine"),
+    ids=("sphere", "narrow cone", "wide cone", "hemisphere", "cosine"),
 )
 def test_directions(sample, density, compiled):
-    """1 / (4 pi); 1 / (2 pi) for a uniform cosine; cos / pi."""
+    """1 / (4 pi); 1 / (2 pi (1 - c)) in a cone; 1 / (2 pi) for a uniform cosine; cos / pi."""
     for u, v in interior(200 if compiled else 60):
         assert jacobian(sample, u, v) * density(sample(u, v)) == pytest.approx(1, rel=1e-5)
 

@@ -456,7 +456,7 @@ def emitted(
             count=count,
             radius=0.2,
             shape="simpson",
-            rule=Scattering(survival, weighted, full, independent=False),
+            rule=Scattering(survival, weighted, full, independent=False, aimed=False),
             first_hits=first_hits,
             pool=pool,
             scratch=new_scratch,

@@ -8,12 +8,14 @@ import math
 import numpy as np
 import pytest
 
+from renderer.vector import Vec3
 from renderer.warp import (
     hemisphere_ring,
     sin_cos_turn,
     square_to_cosine_hemisphere,
     square_to_cosine_hemisphere_pdf,
     square_to_triangle,
+    square_to_uniform_cone,
     square_to_uniform_sphere,
 )
 
@@ -22,6 +24,10 @@ def midpoints(n: int) -> np.ndarray:
     """Midpoint rule on the square, (n², 2)."""
     x = (np.arange(n) + 0.5) / n
     return np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+
+
+def cone_of_60(u: float, v: float) -> Vec3:
+    return square_to_uniform_cone(u, v, 0.5)
 
 
 @pytest.fixture
@@ -33,7 +39,7 @@ def test_directions_have_unit_length(square):
     """All of them, at the corners of the square too."""
     corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5), (0, 0.5), (0.5, 1)], float)
     for u, v in (*corners, *square[::7]):
-        for warp in (square_to_uniform_sphere, hemisphere_ring, square_to_cosine_hemisphere):
+        for warp in (square_to_uniform_sphere, hemisphere_ring, square_to_cosine_hemisphere, cone_of_60):
             assert np.linalg.norm(warp(u, v)) == pytest.approx(1.0, abs=1e-15)
         assert square_to_cosine_hemisphere(u, v).z >= 0.0
 
@@ -43,6 +49,8 @@ def test_directions_have_unit_length(square):
     [
         # E[x], E[y], E[z], E[z²], E[x²], E[xy]
         (square_to_uniform_sphere, (0, 0, 0, 1 / 3, 1 / 3, 0)),
+        # z uniform in [c, 1]: (1 + c) / 2, (1 + c + c²) / 3, (1 - E[z²]) / 2 with c = 1 / 2
+        (cone_of_60, (0, 0, 3 / 4, 7 / 12, 5 / 24, 0)),
         (hemisphere_ring, (0, 0, 1 / 2, 1 / 3, 1 / 3, 0)),
         (square_to_cosine_hemisphere, (0, 0, 2 / 3, 1 / 2, 1 / 4, 0)),
     ],
