@@ -14,6 +14,7 @@ import numpy as np
 
 from renderer.arrays import emitters_of
 from renderer.openness import open_sides
+from renderer.photon_map import KEPT_BYTES
 from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
 from scenes.terms import TERMS, Term
@@ -325,14 +326,37 @@ def plan(
     chain: Chain = "next-event",
     samples: int | dict[Term, int] = 1,
     without: Collection[str] = (),
+    together: bool = False,
 ) -> tuple[Step, ...]:
-    """The steps of rendering `scene` with the given variants, `samples` a pixel, for one replicate."""
+    """The steps of rendering `scene` with the given variants, `samples` a pixel, for one replicate.
+
+    `together`: the terms are rendered by one engine that keeps photon maps (`renderer.render_terms`).
+    """
     counts = samples if isinstance(samples, dict) else dict.fromkeys(TERMS, samples)
-    return tuple(
+    steps = [
         step
         for term in TERMS
         for step in _steps(scene, variants[term], chain, counts[term], frozenset(without))
-    )
+    ]
+    traced = [step.term for step in steps if step.work == "photon maps" and step.runs]
+    if together and traced == ["direct", "specular"] and _same_maps(scene, variants, chain):
+        passes = min(counts["direct"], counts["specular"])
+        emitted = passes * photons_of_a_pass(scene, variants["specular"], chain, without)
+        saved = f"those of direct, as far as {KEPT_BYTES >> 20} MB hold them"
+        steps = [
+            Step("specular", "photon maps", "reuse", saved, {"photons": emitted}, at_most=True)
+            if step.term == "specular" and step.work == "photon maps"
+            else step
+            for step in steps
+        ]
+    return tuple(steps)
+
+
+def _same_maps(scene: Scene, variants: dict[Term, Variant], chain: Chain) -> bool:
+    """Whether direct and the chain of specular mean the same photons."""
+    direct, specular = variants["direct"], variants["specular"]
+    kinds = {(each.photons(scene, chain), each.by_nearest(scene, chain)) for each in (direct, specular)}
+    return len(kinds) == 1 and scene.photons.scattering == "diffuse"
 
 
 def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: frozenset[str]) -> list[Step]:

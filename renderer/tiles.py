@@ -80,6 +80,8 @@ class Engine:
     without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work; or of ECONOMIES: the same
         mean for more noise.
     adaptive : whether a pilot decides how many samples each tile gets, see `renderer.adaptive`; N is then the mean.
+    map_bytes : memory for photon maps, kept while one replicate is rendered: terms that mean the same maps trace them
+        once, which changes no bit, but the seconds of the second.
 
     Attributes
     ----------
@@ -94,6 +96,7 @@ class Engine:
         threads: int | None = None,
         without: Collection[str] = (),
         adaptive: bool = False,
+        map_bytes: int = 0,
     ) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads = {threads}: allowed is at least 1")
@@ -111,6 +114,8 @@ class Engine:
         self._scratches: list[Scratch] = []
         self._local = threading.local()
         self.kernels: set[str] = set()
+        self._map_bytes = map_bytes
+        self._maps: dict[tuple, photon_map.PhotonMap] = {}
         width, height = scene.resolution
         everywhere = np.ones((height, width), np.bool_)
         # The tiles of adaptive counts decide the image, so the threads may not decide the tiles.
@@ -214,7 +219,7 @@ class Engine:
                     number = first // per_map
                     last = min(count, (number + 1) * per_map)
                     emitted = self.scene.photons.count
-                    photons = self._photons(variant, chain, stored, key, number, emitted, self._scratch)
+                    photons = self._shared(variant, chain, stored, key, number, emitted)
                 inputs = variant.inputs(self.scene, chain, photons)
                 self._run(variant, inputs, key, _work(tiles, share, first, last), out, cancel)
                 if tiles is self.tiles and variant.term == "background":
@@ -343,6 +348,34 @@ class Engine:
         warm(variant.driver, self.arrays, *inputs, key, np.zeros((0, 6), np.int64), out, self._scratch())
         self.compile_seconds += time.perf_counter() - start
 
+    def _shared(
+        self, variant: Variant, chain: Chain, stored: Stored, key: np.uint64, index: int, count: int
+    ) -> photon_map.PhotonMap:
+        """The map of pass `index`: one that was kept, or a new one, kept while there is room."""
+        # The first maps stay: all terms ask from the first to the last, where the latest used would help none.
+        if self._maps and next(iter(self._maps))[0] != key:
+            self._maps.clear()
+        name = (key, index, count, stored, self._scattering(variant, chain, stored))
+        if name in self._maps:
+            return self._maps[name]
+        made = self._photons(variant, chain, stored, key, index, count, self._scratch)
+        if sum(map(photon_map.bytes_of, (*self._maps.values(), made))) <= self._map_bytes:
+            self._maps[name] = made
+        return made
+
+    def _scattering(self, variant: Variant, chain: Chain, stored: Stored) -> photon_tracing.Scattering:
+        """How the photons of a variant go on."""
+        photons = self.scene.photons
+        by_nearest = variant.by_nearest(self.scene, chain)
+        return photon_tracing.Scattering(
+            survival=photons.survival or 0.0,
+            weighted=stored != "unweighted",
+            # The operator of a specular chain means diffuse scattering.
+            full=photons.scattering == "full" and variant.term == "direct",
+            independent=by_nearest,
+            aimed=not by_nearest and "aimed" not in self.without,
+        )
+
     def _photons(
         self,
         variant: Variant,
@@ -355,15 +388,6 @@ class Engine:
     ) -> photon_map.PhotonMap:
         """The map of pass `index`."""
         photons = self.scene.photons
-        by_nearest = variant.by_nearest(self.scene, chain)
-        rule = photon_tracing.Scattering(
-            survival=photons.survival or 0.0,
-            weighted=stored != "unweighted",
-            # The operator of a specular chain means diffuse scattering.
-            full=photons.scattering == "full" and variant.term == "direct",
-            independent=by_nearest,
-            aimed=not by_nearest and "aimed" not in self.without,
-        )
         return photon_tracing.emit(
             self.arrays,
             key,
@@ -371,7 +395,7 @@ class Engine:
             count=count,
             radius=photon_map.progressive_radius(photons.radius, index),
             shape=photons.kernel,
-            rule=rule,
+            rule=self._scattering(variant, chain, stored),
             first_hits=stored != "scattered",
             pool=self.pool,
             scratch=scratch,

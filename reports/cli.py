@@ -217,19 +217,15 @@ def render(
     terms = TERMS if term is None else (term,)
     if term is None and variant is not None:
         raise ValueError(f"variant = {variant!r}: allowed is a variant of one term; give --term too")
-    found = {
-        each: renderer.render(
-            described,
-            each,
-            variant=variant,
-            samples=samples,
-            replicates=replicates,
-            seed=seed,
-            threads=threads,
-            adaptive=adaptive,
-        )
-        for each in terms
-    }
+    found = renderer.render_terms(
+        described,
+        dict.fromkeys(terms, variant),
+        samples=samples,
+        replicates=replicates,
+        seed=seed,
+        threads=threads,
+        adaptive=adaptive,
+    )
     settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": variant or "default"}
     return _write_images(described, found, folder, settings | {"adaptive": adaptive}, json_)
 
@@ -339,7 +335,9 @@ def plan(
 
     if samples < 1:
         raise ValueError(f"samples = {samples}: allowed is at least 1")
-    steps = steps_of(_scene(scene, resolution), {term: find(term) for term in TERMS}, samples=samples)
+    steps = steps_of(
+        _scene(scene, resolution), {term: find(term) for term in TERMS}, samples=samples, together=True
+    )
     if json_:
         found = [attrs.asdict(step) for step in steps]
         print(json.dumps({"scene": scene, "samples": samples, "steps": found}))

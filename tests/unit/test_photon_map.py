@@ -463,6 +463,12 @@ def emitted(
         )
 
 
+def test_bytes_of_a_map():
+    """Three vectors and a face a photon, and the cells."""
+    photons = emitted(closed_box(), 0, 50, first_hits=True)
+    assert photon_map.bytes_of(photons) == len(photons.face) * (9 * 8 + 4) + 8 * len(photons.start)
+
+
 def test_threads_change_no_bit(compiled):
     """The map of 1, 2 and 3 threads, over several chunks: equal bytes."""
     count = 10_000 if compiled else 200

@@ -12,7 +12,7 @@ import pytest
 from scipy import special
 
 import renderer
-from renderer import VARIANTS, Engine, render, tiles
+from renderer import VARIANTS, Engine, photon_map, render, tiles
 from renderer.plan import plan, skipped
 from scenes.analytic import (
     closed_box,
@@ -511,6 +511,53 @@ def test_plan_gives_a_reason_for_every_step():
         assert maps["direct"] == (name != "cornell_box")
     dark = attrs.evolve(load("monkey"), lights=())
     assert not any(step.runs for step in plan(dark, variants) if step.work == "photon maps")
+
+
+# Reuse.
+
+
+@pytest.mark.parametrize("scattering", ["diffuse", "full"])
+def test_terms_together_have_the_same_bits(scattering, compiled):
+    """All terms by one engine are the images one by one; two replicates, each with maps of its own."""
+    scene = small(load("monkey"), compiled, 8)
+    scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, scattering=scattering))
+    found = renderer.render_terms(scene, dict.fromkeys(TERMS), samples=3, replicates=2, seed=4)
+    assert list(found) == list(TERMS)
+    for term, image in found.items():
+        alone = render(scene, term, samples=3, replicates=2, seed=4)
+        assert image.mean.tobytes() == alone.mean.tobytes()
+        assert image.variance.tobytes() == alone.variance.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("scattering", "variant", "maps_kept", "traced"),
+    [
+        ("diffuse", "next-event", 100, 4),
+        ("diffuse", "next-event", 2, 6),
+        ("diffuse", "next-event", 0, 8),
+        ("diffuse", "photon-map", 100, 8),  # it stores first hits too
+        ("full", "next-event", 100, 8),  # the chain means diffuse scattering
+    ],
+)
+def test_photon_maps_are_shared(scattering, variant, maps_kept, traced, compiled, monkeypatch):
+    """Direct and specular trace a map once where both mean the same, as long as memory lasts; no bit changes."""
+    scene = small(load("monkey"), compiled, 8)
+    scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, scattering=scattering, count=400))
+    wanted = renderer.find("direct", variant), renderer.find("specular")
+    images = []
+    with Engine(scene) as engine:
+        for each in wanted:
+            images.append(list(engine.prefixes(each, samples=4, seed=2, replicate=0))[-1][1])
+        a_map = engine.counts["photons"] // 8
+    monkeypatch.setattr(photon_map, "bytes_of", lambda photons: 1)  # so that memory counts maps
+    with Engine(scene, map_bytes=maps_kept) as engine:
+        for each, image in zip(wanted, images, strict=True):
+            again = list(engine.prefixes(each, samples=4, seed=2, replicate=0))[-1][1]
+            assert again.tobytes() == image.tobytes()
+        assert engine.counts["photons"] == traced * a_map
+        before = engine.counts["photons"]
+        list(engine.prefixes(wanted[1], samples=1, seed=2, replicate=1))
+        assert engine.counts["photons"] == before + a_map
 
 
 # Degenerate scenes and bad arguments.
