@@ -132,7 +132,11 @@ def _sights(loaded: Any, limit: dict[str, Any], maps: int, seed: int) -> Callabl
     pixel = np.repeat(np.arange(width * height), chains)
     index = np.tile(np.arange(chains), width * height)
     count, shift = (dr.opaque(mi.UInt32, value) for value in (maps * chains, seed))
-    follow = specular.segments(loaded, limit) if limit["term"] == "specular" else None
+    follow = (
+        specular.segments(loaded, limit, specular.lobes(loaded, limit))
+        if limit["term"] == "specular"
+        else None
+    )
 
     def sights(number: int) -> Sights:
         sampler = mi.load_dict({"type": "independent"})

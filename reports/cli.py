@@ -736,8 +736,8 @@ def _progress() -> Progress:
     )
 
 
-_PROVEN = ("BIASED", "NOT AS PREDICTED")
-_COLOURS = {"EQUIVALENT": "green", "AS PREDICTED": "green", "BIASED": "red", "NOT AS PREDICTED": "red"}
+_PROVEN = ("BIASED", "NOT AS PREDICTED", "NO VERDICT")
+_COLOURS = {"EQUIVALENT": "green", "AS PREDICTED": "green"} | dict.fromkeys(_PROVEN, "red")
 
 
 def _print_results(results: dict[str, Any]) -> None:

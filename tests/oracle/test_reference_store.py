@@ -81,7 +81,7 @@ def test_physical_parts_come_from_one_render(scene, renders, tmp_path):
     assert renders == [0, 1]
 
 
-@pytest.mark.parametrize("change", ["scene", "limit", "spp", "seed", "sources"])
+@pytest.mark.parametrize("change", ["scene", "limit", "spp", "seed", "sources", "by_second"])
 def test_whatever_matters_changes_the_name(scene, monkeypatch, change):
     limit = correct("specular", "all")
     before = store.key(scene, limit, spp=2, seed=1)
@@ -92,6 +92,8 @@ def test_whatever_matters_changes_the_name(scene, monkeypatch, change):
     elif change == "sources":
         monkeypatch.setattr(store, "sources_digest", lambda *_: "other")
         after = store.key(scene, limit, spp=2, seed=1)
+    elif change == "by_second":
+        after = store.key(scene, limit, spp=2, seed=1, by_second=True)
     else:
         after = store.key(scene, limit, **({"spp": 2, "seed": 1} | {change: 3}))
     assert after != before
