@@ -12,7 +12,7 @@ from typing import Literal
 import attrs
 import numpy as np
 
-from renderer.arrays import emitters_of
+from renderer.arrays import FAINT, emitters_of
 from renderer.openness import open_sides
 from renderer.photon_map import KEPT_BYTES
 from renderer.terms.variant import Chain, Stored, Variant
@@ -312,10 +312,20 @@ def _aimed(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     return f"{100 * share:.0f} % of the light is emitted towards the scene" if share < 1.0 else None
 
 
+def _roulette(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    if variant.term != "specular" or skipped(scene, "specular"):
+        return None
+    return f"chains of a throughput t below {FAINT:g} go on with probability t / {FAINT:g}"
+
+
 ECONOMIES: dict[str, Economy] = {
-    "aimed": Economy(
-        "aimed", "photons that meet nothing", "those in the cone around the scene carry its flux", _aimed
-    ),
+    economy.name: economy
+    for economy in (
+        Economy(
+            "aimed", "photons that meet nothing", "those in the cone around the scene carry its flux", _aimed
+        ),
+        Economy("roulette", "faint chains", "those that go on carry the light of all", _roulette),
+    )
 }
 
 
@@ -415,4 +425,6 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
             steps.append(Step(term, "sky texture", "runs", f"{scene.sky.projection}, bilinear"))
     if "throughput" in applied:
         skip("throughput", "black chains")
+    if "roulette" not in without and (reason := ECONOMIES["roulette"].reason(scene, variant, chain)):
+        steps.append(Step(term, ECONOMIES["roulette"].work, "economy", reason))
     return steps
