@@ -35,7 +35,7 @@ def renders(monkeypatch) -> list[int]:
         rendered.append(replicate)
         return original(*arguments, replicate=replicate, **options)
 
-    monkeypatch.setattr(reference, "compile_kernels", lambda *_: None)
+    monkeypatch.setattr(reference, "compile_kernels", lambda *_, **__: None)
     monkeypatch.setattr(store, "_variant", lambda: "any that has no budget")
     monkeypatch.setattr(reference, "replicate_parts", counted)
     return rendered
