@@ -22,7 +22,7 @@ import reference
 from reference import backend, store
 from reports import verdict
 from reports.verdict import Statistics
-from scenes.limits import Limit
+from scenes.limits import Limit, correct
 from scenes.model import Scene
 
 Test = Literal["halves", "second integrator"]
@@ -68,13 +68,14 @@ def audits(
     Parameters
     ----------
     scene, rendered : replicates of each limit that a judged row is measured against.
-    by_second : whether second integrators are rendered too, where a limit has one and Mitsuba is vectorised: a quarter
-        of the samples, as many replicates.
+    by_second : whether second integrators are rendered too, for the true integral of each term where it has one and
+        Mitsuba is vectorised: a quarter of the samples, as many replicates.
     seed, folder : as of the references.
     compare : (ours, reference, what) -> `verdict.measure` with the objects of the scene.
     progress : called with the kind of work, after each replicate.
     """
     found: list[Audit] = []
+    vectorised = backend.choose().variant != "scalar_rgb"
     done: set[Limit] = set()
     for limit, kept in rendered.items():
         served = reference.shared(scene, limit)
@@ -86,7 +87,8 @@ def audits(
         if half >= verdict.REPLICATES_NEEDED:
             halves = compare(images[:half], images[half:], f"reference {limit.term}, halves")
             found.append(Audit(scene.name, served, "halves", halves, kept.spp, 0.0))
-        if by_second and reference.has_second(scene, served) and backend.choose().variant != "scalar_rgb":
+        plain = served == reference.shared(scene, correct(limit.term, scene.scope))
+        if by_second and plain and reference.has_second(scene, served) and vectorised:
             other = store.replicates(
                 scene,
                 limit,

@@ -50,7 +50,7 @@ from scenes.terms import TERMS, TOTAL, Term, total
 SCHEMA = 1
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
-_RINGS = 10  # times the samples a pixel of other references
+_RINGS = 8  # times the samples a pixel of other references
 
 Report = Callable[[str, int, int], object]
 Compare = Callable[[np.ndarray, np.ndarray, str], Statistics]
@@ -191,7 +191,8 @@ def measure(
         audits += references.audits(
             scene,
             rendered.rendered,
-            by_second=study.audit,
+            # A setting is audited with the scene that it changes.
+            by_second=study.audit and subject.setting is None,
             seed=study.seed,
             folder=cache_folder() / "reference",
             compare=compare,

@@ -42,7 +42,7 @@ def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 512, change: An
     for row in rows:
         if row["word"] != references.ABSENT:
             # Where it agrees, it could have seen a few per cent.
-            assert row["detectable_bias"] < 0.03, row
+            assert row["detectable_bias"] < 0.04, row
     return {row["test"]: row["word"] for row in rows}
 
 
