@@ -186,7 +186,7 @@ def measure(
             if source.extended:
                 measured = source.extend()
                 pictures.write(source.subject, measured, *source.images(), versions())
-                described[scene_name] = _describe(study, source.subject, measured)
+                described[scene_name]["work"] = _work(measured)
     decided = [[_decided(row, tests, audited, looks) for row in group.rows] for group in groups]
     rows = [row for found in decided for row in found]
     certified = [
@@ -923,12 +923,16 @@ def _describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str,
             attrs.asdict(step) | {"samples": samples[step.term]}
             for step in plan(scene, chosen, chain=subject.chain, samples=samples)
         ],
-        "work": [
-            {"term": cell.variant.term, "variant": cell.variant.name, "samples": cell.samples[-1]}
-            | {"replicates": len(cell.images), "kernels": list(cell.kernels), "counts": cell.counts}
-            for cell in measured
-        ],
+        "work": _work(measured),
     }
+
+
+def _work(measured: list[Cell]) -> list[dict[str, Any]]:
+    return [
+        {"term": cell.variant.term, "variant": cell.variant.name, "samples": cell.samples[-1]}
+        | {"replicates": len(cell.images), "kernels": list(cell.kernels), "counts": cell.counts}
+        for cell in measured
+    ]
 
 
 def _gains(subject: Subject) -> dict[str, dict[str, float]]:
