@@ -28,7 +28,7 @@ from renderer import photon_map
 from renderer.plan import plan, skipped
 from renderer.terms import Chain, Variant, registered
 from renderer.tiles import Engine
-from reports import cells, closed_forms, exact, images, metrics, references, sequential, verdict
+from reports import cells, closed_forms, exact, images, kernel_bias, metrics, references, sequential, verdict
 from reports.cells import Cell
 from reports.convergence import (
     PREFIXES_NEEDED,
@@ -618,15 +618,16 @@ def _of_radius(subject: Subject) -> list[Variant]:
 
 
 def _extrapolations(takes: _Takes, subject: Subject, rendered: References) -> list[dict[str, Any]]:
-    """Relative error of the mean at each radius of the study, against the true integral, and extrapolated to 0."""
+    """Relative error of the mean against the true integral, whole and in parts, at the study's radii and at 0."""
     study, scene = takes.study, subject.scene
     correct = rendered.correct["direct"].images
     found = []
-    for variant in _of_radius(subject):
+    for variant in _of_radius(subject) if study.radii else []:
         samples = study.samples_of(variant)
-        radii, errors = [], []
+        radii, errors, by_class, pixels = [], [], [], []
         for factor in study.radii:
             photons = attrs.evolve(scene.photons, radius=factor * scene.photons.radius)
+            radius = photon_map.mean_radius(photons.radius, samples)
             with Engine(attrs.evolve(scene, photons=photons)) as engine:
                 cell = takes.cell(
                     engine,
@@ -636,29 +637,52 @@ def _extrapolations(takes: _Takes, subject: Subject, rendered: References) -> li
                     chain=subject.chain,
                     what=f"radii of {variant.name}",
                 )
-            radii.append(photon_map.mean_radius(photons.radius, samples))
+                seen = engine.geometry()
+                points = kernel_bias.points(scene, seen)
+                classes = kernel_bias.classify(engine.arrays.geometry, seen.face, points, radius)
+            radii.append(radius)
             errors.append(relative_error(cell.images[:, -1], correct))
-        if not radii:
-            continue
-        zero = extrapolate(radii, errors)
-        points = [(radius, error) for radius, error in zip(radii, errors, strict=True)] + [(0.0, zero)]
+            by_class.append(kernel_bias.shares(cell.images[:, -1], correct, classes))
+            pixels.append(kernel_bias.pixels(classes))
+        label = kernel_bias.label(by_class[int(np.argmax(radii))])
+        at_zero = {
+            name: extrapolate(radii, [each[name] for each in by_class]) for name in kernel_bias.CLASSES
+        }
+        points = zip(
+            (*radii, 0.0),
+            (*errors, extrapolate(radii, errors)),
+            (*by_class, at_zero),
+            (*pixels, dict.fromkeys(kernel_bias.CLASSES)),
+            strict=True,
+        )
         found.append(
             {
                 "scene": scene.name,
                 "variant": variant.name,
+                "label": label,
                 "points": [
                     {
                         "radius": radius,
-                        "error": error.value,
-                        "low": error.low(0.05),
-                        "high": error.high(0.05),
-                        "standard_error": error.standard_error,
+                        **_interval(error),
+                        "classes": {
+                            name: {"pixels": shown[name], **_interval(part)} for name, part in parts.items()
+                        },
                     }
-                    for radius, error in points
+                    for radius, error, parts, shown in points
                 ],
             }
         )
     return found
+
+
+def _interval(error: Estimate) -> dict[str, float]:
+    """A number with its 90 % interval."""
+    return {
+        "error": error.value,
+        "low": error.low(0.05),
+        "high": error.high(0.05),
+        "standard_error": error.standard_error,
+    }
 
 
 def _exact_group(takes: _Takes, case: Case) -> _Group:

@@ -618,5 +618,10 @@ change = { irradiance = "E" }
         assert radii[1] / radii[0] == pytest.approx(0.7)
         for point in each["points"]:
             assert point["low"] < point["error"] < point["high"]
+            parts = point["classes"]
+            assert sum(part["error"] for part in parts.values()) == pytest.approx(point["error"], abs=1e-9)
+            pixels = [part["pixels"] for part in parts.values()]
+            assert sum(pixels) == pytest.approx(1.0) if point["radius"] else pixels == [None] * 3
+        assert each["label"] in ("interior", "boundary", "none proven")
     page = (files / "settings" / "compare" / "scenes" / "scene.bright.html").read_text("utf-8")
     assert "Direct light read as E" in page
