@@ -43,6 +43,7 @@ class Cell:
     counts : work done for all replicates, by name of `renderer.scratch.COUNTERS`.
     kernels : that it took.
     compile_seconds : spent compiling or loading kernels in this run; 0 where all replicates were found.
+    key : sha256 of all that decides a replicate's bits but its number.
     """
 
     variant: Variant
@@ -53,6 +54,7 @@ class Cell:
     counts: dict[str, int]
     kernels: tuple[str, ...]
     compile_seconds: float
+    key: str
 
 
 def key(scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain) -> str:
@@ -79,18 +81,24 @@ def cell(
     chain: Chain,
     folder: Path,
     progress: Callable[[], object],
+    before: Cell | None = None,
 ) -> Cell:
     """Take the replicates of a cell from `folder`; compute and keep those that it lacks.
 
-    `progress` is called after each replicate.
+    `progress` is called after each replicate. `before` are the first replicates of the same cell, where a run has
+    them at hand: they are not taken again.
     """
     name = key(engine.scene, variant, samples=samples, seed=seed, chain=chain)
     prefixes = powers_of_two(samples)
     width, height = engine.scene.resolution
-    before = engine.compile_seconds
+    compiled = engine.compile_seconds
     images, seconds, counts = [], [], np.zeros(len(COUNTERS), np.int64)
     kernels: tuple[str, ...] = ()
-    for replicate in range(replicates):
+    if before is not None:
+        images, seconds = list(before.images), list(before.seconds)
+        counts += np.array(list(before.counts.values()))
+        kernels = before.kernels
+    for replicate in range(len(images), replicates):
         path = folder / name[:2] / f"{name}-{replicate:04d}.npz"
         # An estimator in Python is not known by its source alone: it is computed each time.
         kept = _read(path, (len(prefixes), height, width, 3)) if variant.function is None else None
@@ -120,7 +128,8 @@ def cell(
         np.stack(seconds),
         dict(zip(COUNTERS, counts.tolist(), strict=True)),
         kernels,
-        engine.compile_seconds - before,
+        engine.compile_seconds - compiled,
+        name,
     )
 
 

@@ -6,6 +6,7 @@ could not end. With --json one object goes to standard output, all else to stand
 
 import importlib.metadata
 import json
+import re
 import runpy
 import sys
 from collections.abc import Callable
@@ -47,6 +48,15 @@ def _integer(_kind: Any, tokens: Any) -> int:
         raise ValueError(f"{tokens[0].value!r}: allowed is an integer") from None
 
 
+def _duration(_kind: Any, tokens: Any) -> float:
+    """Seconds of `90`, `90s`, `2m` or `1h`."""
+    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)([smh]?)", tokens[0].value)
+    seconds = float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[found[2]] if found else 0.0
+    if not 0.0 < seconds < float("inf"):
+        raise ValueError(f"{tokens[0].value!r}: allowed is a time above 0 such as 90, 90s, 2m or 1h")
+    return seconds
+
+
 _whole = Parameter(converter=_integer, n_tokens=1)
 Integer = Annotated[int, _whole]
 bench = cyclopts.App(name="bench", help="Measure speed beside Mitsuba's, both in one run.")
@@ -59,6 +69,7 @@ Json = Annotated[bool, Parameter(negative="", help="One JSON object on standard 
 def compare(
     *scenes: str,
     study: str = "standard",
+    budget: Annotated[float | None, Parameter(converter=_duration, n_tokens=1)] = None,
     estimators: Path | None = None,
     out: Path = Path("out"),
     backend: str | None = None,
@@ -72,6 +83,9 @@ def compare(
         Names of the library or paths of scene files; all scenes of the study if none.
     study
         quick, standard, full, or the path of a study file.
+    budget
+        Seconds of rendering (90, 90s, 2m, 1h), ours and Mitsuba's together: rows that the study leaves undecided get
+        2, 4, 8 times its replicates, until they are decided or the budget is spent.
     estimators
         A Python file that calls `termwise.register`: what it registers is measured too.
     out
@@ -88,6 +102,8 @@ def compare(
     if estimators is not None:
         _run_file(estimators)
     chosen = studies.with_registered(studies.load(study))
+    if budget is not None:
+        chosen = attrs.evolve(chosen, budget=budget)
     prepared = subjects.scenes_of(chosen, scenes)
     folder = _folder(out / chosen.folder)
     results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
@@ -823,9 +839,12 @@ _COLOURS = {"EQUIVALENT": "green", "AS PREDICTED": "green"} | dict.fromkeys(_PRO
 
 def _print_results(results: dict[str, Any]) -> None:
     judged = [row for row in results["cells"] if row["verdict"] is not None]
+    certified = results["settings"]["certified"]
     for scene in results["settings"]["scenes"]:
         # 80 columns hold it: what is not a terminal has no more.
         columns = ("term", "variant", "bias [90 %] in %", "RMSE", "SSIM", "s", "verdict")
+        if certified["budget"] is not None:
+            columns = ("term", "variant", "bias [90 %] in %", "K", "ours s", "ref. s", "verdict")
         title = f"\n[bold]{scene}"
         table = Table(
             *columns, title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
@@ -836,13 +855,19 @@ def _print_results(results: dict[str, Any]) -> None:
             absent = row["verdict"] == "ABSENT"
             low, high = 100 * row["bias_low"], 100 * row["bias_high"]
             colour = _COLOURS.get(row["verdict"], "dim" if absent else "yellow")
+            if certified["budget"] is not None:
+                numbers = str(row["replicates"]), f"{row['seconds']:.1f}", f"{row['reference_seconds']:.1f}"
+            else:
+                numbers = (
+                    "" if absent else f"{row['rmse']:.3g}",
+                    "" if absent or row["ssim"] is None else f"{row['ssim']:.3f}",
+                    f"{row['seconds']:.1f}",
+                )
             table.add_row(
                 row["term"],
                 row["variant"],
                 "" if absent else f"{100 * row['bias']:+.2f} \\[{low:+.2f}, {high:+.2f}]",
-                "" if absent else f"{row['rmse']:.3g}",
-                "" if absent or row["ssim"] is None else f"{row['ssim']:.3f}",
-                f"{row['seconds']:.1f}",
+                *numbers,
                 f"[{colour}]{row['verdict']}[/{colour}]",
             )
         _output.print(table)
@@ -851,7 +876,22 @@ def _print_results(results: dict[str, Any]) -> None:
         words = [row["verdict"] for row in known if row["group"] == group]
         counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
         _output.print(f"\n[bold]{group}[/bold], its answer known: {counts}", highlight=False)
+    _print_certified(certified)
     for row in judged:
         if row["verdict"] in _PROVEN or (row["verdict"] == "UNDERPOWERED" and not row.get("group")):
             where = f"{row['scene']}: {row['term']} {row['variant']}"
             _output.print(f"{where}: {row['sentence']}", highlight=False, soft_wrap=True)
+
+
+def _print_certified(certified: dict[str, Any]) -> None:
+    """What it took to show that the rows that passed are right."""
+    ours, reference = certified["seconds"], certified["reference_seconds"]
+    text = (
+        f"[bold]{ours + reference:.1f} s to certify |bias| < {certified['margin']:.0%}[/bold] in {certified['rows']} "
+        f"of {certified['of']} rows: ours {ours:.1f} s, reference {reference:.1f} s; our kernels compiled in "
+        f"{certified['compile_seconds']:.1f} s, apart."
+    )
+    if certified["budget"] is not None:
+        looks = ", ".join(map(str, certified["looks"]))
+        text += f" Budget {certified['budget']:g} s: {certified['spent']:.1f} s spent, looks at K = {looks}."
+    _output.print(f"\n{text}", highlight=False, soft_wrap=True)

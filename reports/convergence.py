@@ -79,22 +79,28 @@ def mean_square_error(ours: np.ndarray, reference: np.ndarray) -> Estimate:
     return gram(ours, reference).estimate(np.array([[1.0, -1.0], [-1.0, 1.0]]), (1.0, 0.0))
 
 
-def relative_error(ours: np.ndarray, reference: np.ndarray) -> Estimate:
+def relative_error(ours: np.ndarray, reference: np.ndarray, *, where: np.ndarray | None = None) -> Estimate:
     """Error of the mean luminance, as a share of the reference's: `mean I_k / mean R - 1`.
 
     Parameters
     ----------
     ours, reference : (K, H, W, 3) and (R, H, W, 3) floating
         Replicates; the mean of the reference is not 0.
+    where : (H, W) bool, optional
+        The error of these pixels alone, as a share of the same mean: those of the parts of an image add up to its own.
     """
-    a, b = (np.dot(np.mean(each, axis=(1, 2), dtype=np.float64), LUMINANCE) for each in (ours, reference))
+    inside = np.ones(ours.shape[1:3], bool) if where is None else where
+    a, b, whole = (
+        np.dot(each[:, chosen].sum(axis=1, dtype=np.float64), LUMINANCE)
+        for each, chosen in ((ours, inside), (reference, inside), (reference, np.ones_like(inside)))
+    )
 
     def without_one(values: np.ndarray) -> np.ndarray:
         return (values.sum() - values) / (len(values) - 1)
 
-    a_mean, b_mean = a.mean(), b.mean()
-    leave_one_out = without_one(a) / b_mean - 1.0, a_mean / without_one(b) - 1.0
-    return Estimate(float(a_mean / b_mean - 1.0), leave_one_out)
+    a_mean, b_mean, mean = a.mean(), b.mean(), whole.mean()
+    leave_one_out = (without_one(a) - b_mean) / mean, (a_mean - without_one(b)) / without_one(whole)
+    return Estimate(float((a_mean - b_mean) / mean), leave_one_out)
 
 
 def fit(

@@ -114,7 +114,8 @@ class Pictures:
             for cell in measured
         }
         defaults = [next(c for c in measured if c.variant.term == term) for term in TERMS]
-        summed = total(*(cell.images[:, -1] for cell in defaults))
+        shared = min(len(cell.images) for cell in defaults)
+        summed = total(*(cell.images[:shared, -1] for cell in defaults))
         ours[TOTAL, "default"] = _summary(summed, max(cell.samples[-1] for cell in defaults))
         truth = {limit_name(limit): _summary(stack, 0) for limit, stack in references.items()}
         own = [references[cell.own] for cell in defaults]

@@ -2,7 +2,8 @@
 
 scene -> plan -> (renderer | reference) -> measurements -> verdicts -> `results.json`, `results.nc`, `images/*.exr`
 
-The level of every test depends on the number of tests of the whole run, so all rows are measured before any is decided.
+The level of every test depends on the number of tests of the whole run, so all rows are measured before any is decided;
+with a budget, undecided ones are then measured again with more replicates (see `reports.sequential`).
 Replicates are kept in the cache by content: an interrupted run goes on where it stopped, a run with nothing changed
 computes nothing.
 """
@@ -15,19 +16,19 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
 
-from reference import backend, store
+from reference import backend, shared, store
 from renderer import photon_map
 from renderer.plan import plan, skipped
-from renderer.terms import Variant, registered
+from renderer.terms import Chain, Variant, registered
 from renderer.tiles import Engine
-from reports import cells, closed_forms, exact, images, metrics, references, verdict
+from reports import cells, closed_forms, exact, images, kernel_bias, metrics, references, sequential, verdict
 from reports.cells import Cell
 from reports.convergence import (
     PREFIXES_NEEDED,
@@ -38,6 +39,7 @@ from reports.convergence import (
     relative_error,
 )
 from reports.exact import Case
+from reports.sequential import Item, Ledger
 from reports.study import Study
 from reports.subjects import CHAIN, Subject, own_limit, subjects
 from reports.verdict import Estimate, Statistics, Verdict
@@ -51,6 +53,8 @@ SCHEMA = 1
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
 _RINGS = 8  # times the samples a pixel of other references
+# Of the replicates of a reference at the first look, where Mitsuba has no fast backend.
+_SCALAR_SECONDS = 60.0
 
 Report = Callable[[str, int, int], object]
 Compare = Callable[[np.ndarray, np.ndarray, str], Statistics]
@@ -143,75 +147,53 @@ def measure(
     """
     measured_subjects = list(subjects(study, scenes))
     chosen = backend.choose()
-    waiting: list[_Row] = []
-    described: dict[str, Any] = {}
     extrapolations: list[dict[str, Any]] = []
     pictures = images.Pictures(folder)
     known = list(exact.cases(study))
-    audits: list[references.Audit] = []
-    steps = study.replicates * len(known) + sum(
-        study.replicates * len(_estimates(study, subject))
-        + study.reference_replicates * len(_limits(study, subject))
-        for subject in measured_subjects
+    takes = _Takes(study, report)
+    takes.expect(
+        study.replicates * len(known)
+        + sum(
+            study.replicates * len(_estimates(study, subject))
+            + study.reference_replicates * len(_limits(study, subject))
+            for subject in measured_subjects
+        )
     )
-    done = 0
-
-    def advance(what: str) -> None:
-        nonlocal done
-        done += 1
-        report(what, done, steps)
-
-    found: dict[str, References] = {}
+    sources: dict[str, _Source] = {}
+    described: dict[str, Any] = {}
+    groups: list[_Group] = []
+    audits: list[references.Audit] = []
     for subject in measured_subjects:
-        scene = subject.scene
-        rendered = _references(study, subject, found.get(subject.unchanged.name), advance)
-        found[scene.name] = rendered
-        with Engine(scene) as engine:
-            objects = engine.geometry().object
-            measured = [
-                cells.cell(
-                    engine,
-                    variant,
-                    own=own_limit(study, subject, variant),
-                    samples=study.samples_of(variant),
-                    replicates=study.replicates,
-                    seed=study.seed,
-                    chain=subject.chain,
-                    folder=cache_folder() / "cells",
-                    progress=lambda scene=scene, term=term, variant=variant: advance(
-                        f"{scene.name}: {term} {variant.name}"
-                    ),
-                )
-                for term in TERMS
-                for variant in subject.variants[term]
-            ]
-        report(f"{scene.name}: measuring", done, steps)
-        compare = _compare(subject, rendered, objects)
-        waiting += _rows(study, subject, measured, rendered, compare)
-        audits += references.audits(
-            scene,
-            rendered.rendered,
-            # A setting is audited with the scene that it changes.
-            by_second=study.audit and subject.setting is None,
-            seed=study.seed,
-            folder=cache_folder() / "reference",
-            compare=compare,
-            progress=lambda what: report(what, done, steps),
-        )
-        pictures.write(
-            subject,
-            measured,
-            {limit: kept.images for limit, kept in rendered.rendered.items()},
-            {term: kept.images for term, kept in rendered.correct.items()},
-            versions(),
-        )
-        described[scene.name] = _describe(study, subject, measured)
-        extrapolations += _extrapolations(study, subject, measured, rendered, advance)
-    for case in known:
-        waiting += _exact_rows(study, case, lambda case=case: advance(f"{case.name}: {case.variant.name}"))
-    tests = sum(_tests(row) for row in waiting if row.judged)
+        scene_name = subject.scene.name
+        source = sources[scene_name] = _Source(takes, subject, sources.get(subject.unchanged.name))
+        measured = source.measure()
+        groups += source.groups(measured)
+        audits += source.audits()
+        pictures.write(subject, measured, *source.images(), versions())
+        described[scene_name] = _describe(study, subject, measured)
+        extrapolations += _extrapolations(takes, subject, source.rendered)
+    groups += [_exact_group(takes, case) for case in known]
+    tests = sum(_tests(row) for group in groups for row in group.rows if row.judged)
     audited = references.decide(audits)
-    rows = [_decided(row, tests, audited) for row in waiting]
+    looks = 1
+    if study.budget is not None:
+        looks = len(sequential.LOOKS)
+        for group in groups:
+            group.tests, group.audited = tests, audited
+        undecided = [group for group in groups if group.judged and not group.decided]
+        sequential.go_on(undecided, takes.ledger, study.budget)
+        for scene_name, source in sources.items():
+            if source.extended:
+                measured = source.extend()
+                pictures.write(source.subject, measured, *source.images(), versions())
+                described[scene_name]["work"] = _work(measured)
+    decided = [[_decided(row, tests, audited, looks) for row in group.rows] for group in groups]
+    rows = [row for found in decided for row in found]
+    certified = [
+        group.wanted(group.factor)
+        for group, found in zip(groups, decided, strict=True)
+        if any(row["verdict"] in _CERTIFIED for row in found)
+    ]
     results = {
         "schema": SCHEMA,
         "versions": versions(),
@@ -228,6 +210,17 @@ def measure(
             "command": " ".join(["termwise", *sys.argv[1:]]),
             "alpha": verdict.LEVEL,
             "tests": tests,
+            "certified": {
+                "margin": verdict.MARGIN,
+                "rows": len(certified),
+                "of": sum(row["verdict"] not in (None, "ABSENT") for row in rows),
+                "seconds": takes.ledger.took("ours", certified),
+                "reference_seconds": takes.ledger.took("reference", certified),
+                "compile_seconds": sum(row["compile_seconds"] or 0.0 for row in rows),
+                "budget": study.budget,
+                "spent": takes.ledger.spent,
+                "looks": [factor * study.replicates for factor in sequential.LOOKS[:looks]],
+            },
             "options": {
                 "replicates": study.replicates,
                 "reference replicates": study.reference_replicates,
@@ -278,24 +271,250 @@ def _reference_samples(study: Study, limit: Limit) -> int:
     return study.reference_spp * (_RINGS if limit.term == "specular" and limit.rings else 1)
 
 
-def _references(
-    study: Study, subject: Subject, unchanged: References | None, advance: Callable[[str], None]
-) -> References:
-    rendered = {
-        limit: store.replicates(
-            subject.scene,
-            limit,
-            spp=_reference_samples(study, limit),
-            seed=study.seed,
-            count=study.reference_replicates,
-            folder=cache_folder() / "reference",
-            progress=lambda limit=limit: advance(f"{subject.scene.name}: reference {limit.term}"),
+class _Takes:
+    """Takes replicates for a run: the cache gives them or keeps them, the ledger knows their seconds."""
+
+    def __init__(self, study: Study, report: Report) -> None:
+        self.study = study
+        self.ledger = Ledger()
+        self._report, self._done, self._steps = report, 0, 0
+        # By scene and key: no disk keeps what estimators in Python compute.
+        self._python: dict[tuple[str, str], Cell] = {}
+        self._compile_seconds: dict[tuple[str, str], float] = {}
+
+    def expect(self, replicates: int) -> None:
+        """Announce replicates that will be taken."""
+        self._steps += replicates
+
+    def say(self, what: str) -> None:
+        """Report what is going on."""
+        self._report(what, self._done, self._steps)
+
+    def _advance(self, what: str) -> None:
+        self._done += 1
+        self.say(what)
+
+    def cell(
+        self,
+        engine: Engine,
+        variant: Variant,
+        *,
+        own: Limit,
+        samples: int,
+        chain: Chain,
+        what: str,
+        factor: int = 1,
+    ) -> Cell:
+        """`factor` times the replicates of the study; their compilation is that of all looks."""
+        settings: dict[str, Any] = {"samples": samples, "seed": self.study.seed, "chain": chain}
+        name = engine.scene.name, cells.key(engine.scene, variant, **settings)
+        cell = cells.cell(
+            engine,
+            variant,
+            own=own,
+            replicates=factor * self.study.replicates,
+            folder=cache_folder() / "cells",
+            progress=lambda: self._advance(f"{engine.scene.name}: {what}"),
+            before=self._python.get(name),
+            **settings,
         )
-        for limit in _limits(study, subject)
-    }
-    if unchanged is not None:
-        return References(rendered, unchanged.correct)
-    return References(rendered, {term: rendered[subject.correct(term)] for term in TERMS})
+        if variant.function is not None:
+            self._python[name] = cell
+        self._compile_seconds[name] = self._compile_seconds.get(name, 0.0) + cell.compile_seconds
+        return attrs.evolve(cell, compile_seconds=self._compile_seconds[name])
+
+    def reference(self, scene: Scene, limit: Limit, factor: int = 1) -> store.Replicates:
+        """`factor` times the reference replicates of the study, at the samples of the first look."""
+        return store.replicates(
+            scene,
+            limit,
+            spp=_reference_samples(self.study, limit),
+            seed=self.study.seed,
+            count=factor * self.study.reference_replicates,
+            folder=cache_folder() / "reference",
+            progress=lambda: self._advance(f"{scene.name}: reference {limit.term}"),
+            budget_s=factor * _SCALAR_SECONDS,
+        )
+
+    def book(
+        self, scene: Scene, taken: Sequence[Cell], kept: dict[Limit, store.Replicates]
+    ) -> dict[Item, int]:
+        """Put down the seconds of what a judged row is made of; returns its replicates."""
+        seed = self.study.seed
+        seconds = {Item("ours", cell.key): cell.seconds[:, -1] for cell in taken}
+        for limit, each in kept.items():
+            key = store.key(scene, shared(scene, limit), spp=each.spp, seed=seed)
+            seconds[Item("reference", key)] = each.seconds
+        for item, each in seconds.items():
+            self.ledger.book(item, each)
+        return {item: len(each) for item, each in seconds.items()}
+
+
+@attrs.define(eq=False)
+class _Group:
+    """The rows of one estimate, and how they are measured again with more replicates: a `sequential.Row`.
+
+    Attributes
+    ----------
+    rows : as of the last look.
+    replicates : of what the judged one of them is made of, at the first look.
+    again : factor on the replicates -> the rows.
+    factor : of the last look.
+    tests, audited : of the run.
+    """
+
+    rows: list[_Row]
+    replicates: dict[Item, int]
+    again: Callable[[int], list[_Row]]
+    factor: int = 1
+    tests: int = 0
+    audited: list[dict[str, Any]] = attrs.field(factory=list)
+
+    @property
+    def judged(self) -> bool:
+        """Whether a verdict is due."""
+        return any(row.judged for row in self.rows)
+
+    @property
+    def decided(self) -> bool:
+        """Whether the last look decided it."""
+        (row,) = (row for row in self.rows if row.judged)
+        return _decided(row, self.tests, self.audited, len(sequential.LOOKS))["verdict"] != "UNDERPOWERED"
+
+    def wanted(self, factor: int) -> dict[Item, int]:
+        """Replicates that a look takes."""
+        return {item: factor * count for item, count in self.replicates.items()}
+
+    def look(self, factor: int) -> bool:
+        """Measure with so many times the replicates of the first look."""
+        self.rows, self.factor = self.again(factor), factor
+        return self.decided
+
+
+class _Source:
+    """A subject and its references: makes its rows, at the first look and at later ones."""
+
+    def __init__(self, takes: _Takes, subject: Subject, unchanged: "_Source | None") -> None:
+        self.takes, self.subject = takes, subject
+        rendered = {limit: takes.reference(subject.scene, limit) for limit in _limits(takes.study, subject)}
+        self.rendered = (
+            References(rendered, {term: rendered[subject.correct(term)] for term in TERMS})
+            if unchanged is None
+            else References(rendered, unchanged.rendered.correct)
+        )
+        # Of the first look, as whatever a row does not share with its own verdict: how far others got decides nothing.
+        self._scale = sum(_luminance(kept.images) for kept in self.rendered.correct.values()) or 1.0
+        self._objects = np.empty(0, np.int64)
+        self._factors: dict[Variant | Limit, int] = {}
+
+    def measure(self) -> list[Cell]:
+        """The cells of all variants at the first look."""
+        with Engine(self.subject.scene) as engine:
+            self._objects = engine.geometry().object
+            return [
+                self._cell(engine, variant, 1) for term in TERMS for variant in self.subject.variants[term]
+            ]
+
+    def _cell(self, engine: Engine, variant: Variant, factor: int) -> Cell:
+        return self.takes.cell(
+            engine,
+            variant,
+            own=own_limit(self.takes.study, self.subject, variant),
+            samples=self.takes.study.samples_of(variant),
+            chain=self.subject.chain,
+            what=f"{variant.term} {variant.name}",
+            factor=factor,
+        )
+
+    def groups(self, measured: list[Cell]) -> list[_Group]:
+        """The rows of each variant, and of the sum of the default ones."""
+        self.takes.say(f"{self.subject.scene.name}: measuring")
+        default = [next(c for c in measured if c.variant.term == term) for term in TERMS]
+        return [*(self._group([cell], _cell_rows) for cell in measured), self._group(default, _total_rows)]
+
+    def audits(self) -> list[references.Audit]:
+        """The references of the first look against themselves."""
+        study = self.takes.study
+        return references.audits(
+            self.subject.scene,
+            self.rendered.rendered,
+            # A setting is audited with the scene that it changes.
+            by_second=study.audit and self.subject.setting is None,
+            seed=study.seed,
+            folder=cache_folder() / "reference",
+            compare=self._compare,
+            progress=self.takes.say,
+        )
+
+    def _group(self, taken: list[Cell], rows_of: "_RowsOf") -> _Group:
+        subject, own = self.subject, [cell.own for cell in taken]
+        variants = [cell.variant for cell in taken]
+        found = rows_of(subject, taken, self.rendered, self._compare)
+        replicates: dict[Item, int] = {}
+        if any(row.judged for row in found):
+            kept = {limit: self.rendered.rendered[limit] for limit in own}
+            replicates = self.takes.book(subject.scene, taken, kept)
+
+        def again(factor: int) -> list[_Row]:
+            study = self.takes.study
+            self.takes.expect(
+                factor * (len(variants) * study.replicates + len(own) * study.reference_replicates)
+            )
+            self._factors |= dict.fromkeys((*variants, *own), factor)
+            with Engine(subject.scene) as engine:
+                taken = [self._cell(engine, variant, factor) for variant in variants]
+            kept = {limit: self.takes.reference(subject.scene, limit, factor) for limit in own}
+            self.takes.book(subject.scene, taken, kept)
+            return rows_of(subject, taken, self._with(kept), self._compare)
+
+        return _Group(found, replicates, again)
+
+    def _with(self, kept: dict[Limit, store.Replicates]) -> References:
+        """The references of the first look, some of them with more replicates."""
+        correct = self.rendered.correct
+        if self.subject.base is None:
+            correct = {term: kept.get(self.subject.correct(term), each) for term, each in correct.items()}
+        return References(self.rendered.rendered | kept, correct)
+
+    def _compare(self, ours: np.ndarray, reference: np.ndarray, what: str) -> Statistics:
+        scene = self.subject.scene
+        names = [thing.name for thing in scene.objects]
+        try:
+            return verdict.measure(
+                ours, reference, objects=self._objects, object_names=names, scale=self._scale
+            )
+        except ValueError as error:
+            raise ValueError(f"{scene.name}: {what}: {error}") from None
+
+    @property
+    def extended(self) -> bool:
+        """Whether a later look took more replicates."""
+        return bool(self._factors)
+
+    def extend(self) -> list[Cell]:
+        """All replicates that the looks took: the references, and the cells at their last prefix."""
+        scene, factors = self.subject.scene, self._factors
+        limits_of = [limit for limit in self.rendered.rendered if limit in factors]
+        self.rendered = self._with(
+            {limit: self.takes.reference(scene, limit, factors[limit]) for limit in limits_of}
+        )
+        measured = []
+        with Engine(scene) as engine:
+            for variant in (variant for term in TERMS for variant in self.subject.variants[term]):
+                cell = self._cell(engine, variant, factors.get(variant, 1))
+                last = cell.images[:, -1:].copy()
+                measured.append(attrs.evolve(cell, images=last, samples=cell.samples[-1:]))
+        return measured
+
+    def images(self) -> tuple[dict[Limit, np.ndarray], dict[Term, np.ndarray]]:
+        """Replicates of the references: of each limit, and the right ones of each term."""
+        return (
+            {limit: kept.images for limit, kept in self.rendered.rendered.items()},
+            {term: kept.images for term, kept in self.rendered.correct.items()},
+        )
+
+
+_RowsOf = Callable[[Subject, list[Cell], References, Compare], list[_Row]]
 
 
 def _luminance(images: np.ndarray) -> float:
@@ -315,24 +534,7 @@ def _identity(subject: Subject, term: str, variant: str, kind: str, against: str
     }
 
 
-def _compare(subject: Subject, rendered: References, objects: np.ndarray) -> Compare:
-    """(ours, reference, what) -> statistics of the whole and of each object of a scene."""
-    scene = subject.scene
-    names = [thing.name for thing in scene.objects]
-    fallback = sum(_luminance(kept.images) for kept in rendered.correct.values()) or 1.0
-
-    def statistics(ours: np.ndarray, reference: np.ndarray, what: str) -> Statistics:
-        try:
-            return verdict.measure(ours, reference, objects=objects, object_names=names, scale=fallback)
-        except ValueError as error:
-            raise ValueError(f"{scene.name}: {what}: {error}") from None
-
-    return statistics
-
-
-def _rows(
-    study: Study, subject: Subject, measured: list[Cell], rendered: References, compare: Compare
-) -> list[_Row]:
+def _cell_rows(subject: Subject, measured: list[Cell], rendered: References, compare: Compare) -> list[_Row]:
     scene = subject.scene
     rows: list[_Row] = []
     for cell in measured:
@@ -404,7 +606,6 @@ def _rows(
                     predicted_bias=None if predicted is None else predicted - 1.0,
                 )
             )
-    rows += _total_rows(subject, measured, rendered, compare)
     return rows
 
 
@@ -416,73 +617,101 @@ def _of_radius(subject: Subject) -> list[Variant]:
     return [variant for variant, kernel in kernels.items() if kernel and kernel.shape != "nearest"]
 
 
-def _extrapolations(
-    study: Study,
-    subject: Subject,
-    measured: list[Cell],
-    rendered: References,
-    advance: Callable[[str], None],
-) -> list[dict[str, Any]]:
-    """Relative error of the mean at each radius of the study, against the true integral, and extrapolated to 0."""
-    scene = subject.scene
+def _extrapolations(takes: _Takes, subject: Subject, rendered: References) -> list[dict[str, Any]]:
+    """Relative error of the mean against the true integral, whole and in parts, at the study's radii and at 0."""
+    study, scene = takes.study, subject.scene
     correct = rendered.correct["direct"].images
     found = []
-    for variant in _of_radius(subject):
+    for variant in _of_radius(subject) if study.radii else []:
         samples = study.samples_of(variant)
-        radii, errors = [], []
+        radii, errors, by_class, pixels = [], [], [], []
         for factor in study.radii:
             photons = attrs.evolve(scene.photons, radius=factor * scene.photons.radius)
+            radius = photon_map.mean_radius(photons.radius, samples)
             with Engine(attrs.evolve(scene, photons=photons)) as engine:
-                cell = cells.cell(
+                cell = takes.cell(
                     engine,
                     variant,
                     own=variant.limit(scene, samples),
                     samples=samples,
-                    replicates=study.replicates,
-                    seed=study.seed,
                     chain=subject.chain,
-                    folder=cache_folder() / "cells",
-                    progress=lambda variant=variant: advance(f"{scene.name}: radii of {variant.name}"),
+                    what=f"radii of {variant.name}",
                 )
-            radii.append(photon_map.mean_radius(photons.radius, samples))
+                seen = engine.geometry()
+                points = kernel_bias.points(scene, seen)
+                classes = kernel_bias.classify(engine.arrays.geometry, seen.face, points, radius)
+            radii.append(radius)
             errors.append(relative_error(cell.images[:, -1], correct))
-        if not radii:
-            continue
-        zero = extrapolate(radii, errors)
-        points = [(radius, error) for radius, error in zip(radii, errors, strict=True)] + [(0.0, zero)]
+            by_class.append(kernel_bias.shares(cell.images[:, -1], correct, classes))
+            pixels.append(kernel_bias.pixels(classes))
+        label = kernel_bias.label(by_class[int(np.argmax(radii))])
+        at_zero = {
+            name: extrapolate(radii, [each[name] for each in by_class]) for name in kernel_bias.CLASSES
+        }
+        points = zip(
+            (*radii, 0.0),
+            (*errors, extrapolate(radii, errors)),
+            (*by_class, at_zero),
+            (*pixels, dict.fromkeys(kernel_bias.CLASSES)),
+            strict=True,
+        )
         found.append(
             {
                 "scene": scene.name,
                 "variant": variant.name,
+                "label": label,
                 "points": [
                     {
                         "radius": radius,
-                        "error": error.value,
-                        "low": error.low(0.05),
-                        "high": error.high(0.05),
-                        "standard_error": error.standard_error,
+                        **_interval(error),
+                        "classes": {
+                            name: {"pixels": shown[name], **_interval(part)} for name, part in parts.items()
+                        },
                     }
-                    for radius, error in points
+                    for radius, error, parts, shown in points
                 ],
             }
         )
     return found
 
 
-def _exact_rows(study: Study, case: Case, progress: Callable[[], object]) -> list[_Row]:
-    """Rows of a variant against numbers that are known: its own limit's, and the right one's."""
-    with Engine(case.scene) as engine:
-        cell = cells.cell(
-            engine,
-            case.variant,
-            own=case.variant.limit(case.scene, case.samples),
-            samples=case.samples,
-            replicates=study.replicates,
-            seed=study.seed,
-            chain=CHAIN,
-            folder=cache_folder() / "cells",
-            progress=progress,
-        )
+def _interval(error: Estimate) -> dict[str, float]:
+    """A number with its 90 % interval."""
+    return {
+        "error": error.value,
+        "low": error.low(0.05),
+        "high": error.high(0.05),
+        "standard_error": error.standard_error,
+    }
+
+
+def _exact_group(takes: _Takes, case: Case) -> _Group:
+    """Rows of a variant against numbers that are known."""
+
+    def take(factor: int) -> Cell:
+        with Engine(case.scene) as engine:
+            return takes.cell(
+                engine,
+                case.variant,
+                own=case.variant.limit(case.scene, case.samples),
+                samples=case.samples,
+                chain=CHAIN,
+                what=f"{case.name}: {case.variant.name}",
+                factor=factor,
+            )
+
+    def again(factor: int) -> list[_Row]:
+        takes.expect(factor * takes.study.replicates)
+        cell = take(factor)
+        takes.book(case.scene, [cell], {})
+        return _exact_rows(case, cell)
+
+    cell = take(1)
+    return _Group(_exact_rows(case, cell), takes.book(case.scene, [cell], {}), again)
+
+
+def _exact_rows(case: Case, cell: Cell) -> list[_Row]:
+    """Rows against the variant's own limit and against the right one."""
     ours = cell.images[:, -1]
     own, right = (float(np.dot(value, verdict.LUMINANCE)) for value in (case.own, case.correct))
     rows = []
@@ -520,15 +749,10 @@ def _exact_rows(study: Study, case: Case, progress: Callable[[], object]) -> lis
     return rows
 
 
-def _total_rows(
-    subject: Subject,
-    measured: list[Cell],
-    rendered: References,
-    compare: Compare,
-) -> list[_Row]:
+def _total_rows(subject: Subject, measured: list[Cell], rendered: References, compare: Compare) -> list[_Row]:
     """Rows of the sum of the default variants; it carries the allowance of a kernel-based term."""
     scene = subject.scene
-    default = {term: next(c for c in measured if c.variant.term == term) for term in TERMS}
+    default = dict(zip(TERMS, measured, strict=True))
     ours = total(*(default[term].images[:, -1] for term in TERMS))
     by_kernel = [
         c.variant for c in default.values() if c.variant.kernel_based(scene) and c.own.kernel is None
@@ -650,13 +874,15 @@ def _tests(row: _Row) -> int:
     return row.statistics.mean_tests if row.decide["kernel"] else row.statistics.tests
 
 
-def _decided(row: _Row, tests: int, audited: list[dict[str, Any]]) -> dict[str, Any]:
+def _decided(row: _Row, tests: int, audited: list[dict[str, Any]], looks: int = 1) -> dict[str, Any]:
     word, failed = references.findings(audited, row.scene, row.limits)
     fields = {**row.fields, "reference_audit": word}
     if row.statistics is None:
         return {**fields, **_NOT_JUDGED}
     judged = row.judged and not failed
-    outcome = verdict.decide(row.statistics, tests=max(tests, 1), judged=judged, **row.decide).row()
+    outcome = verdict.decide(
+        row.statistics, tests=max(tests, 1), looks=looks, judged=judged, **row.decide
+    ).row()
     if row.judged and failed:
         sentence = f"{verdict.NO_VERDICT}: its reference failed an audit: {'; '.join(failed)}."
         outcome |= {"verdict": verdict.NO_VERDICT, "reasons": failed, "sentence": sentence}
@@ -721,12 +947,16 @@ def _describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str,
             attrs.asdict(step) | {"samples": samples[step.term]}
             for step in plan(scene, chosen, chain=subject.chain, samples=samples)
         ],
-        "work": [
-            {"term": cell.variant.term, "variant": cell.variant.name, "samples": cell.samples[-1]}
-            | {"replicates": len(cell.images), "kernels": list(cell.kernels), "counts": cell.counts}
-            for cell in measured
-        ],
+        "work": _work(measured),
     }
+
+
+def _work(measured: list[Cell]) -> list[dict[str, Any]]:
+    return [
+        {"term": cell.variant.term, "variant": cell.variant.name, "samples": cell.samples[-1]}
+        | {"replicates": len(cell.images), "kernels": list(cell.kernels), "counts": cell.counts}
+        for cell in measured
+    ]
 
 
 def _gains(subject: Subject) -> dict[str, dict[str, float]]:
@@ -739,6 +969,9 @@ def _gains(subject: Subject) -> dict[str, dict[str, float]]:
         }
         for variant in subject.variants["specular"]
     }
+
+
+_CERTIFIED = "EQUIVALENT", "AS PREDICTED"
 
 
 def failures(results: dict[str, Any]) -> list[dict[str, Any]]:

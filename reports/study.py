@@ -145,6 +145,8 @@ class Study:
     settings : changes to scenes to measure as well.
     radii : factors on the radius of the photon kernels, at which they are measured to extrapolate them to 0; three or
         more, or none.
+    budget : seconds of rendering, both sides together, within which undecided rows get more replicates (see
+        `reports.sequential`); None: each row has one look, at the whole level.
     folder : of the results, below the output folder.
     """
 
@@ -164,6 +166,7 @@ class Study:
     exact: Exact | None = None
     settings: tuple[Setting, ...] = attrs.field(default=(), validator=_distinct)
     radii: tuple[float, ...] = attrs.field(default=(), validator=[positive, _enough])
+    budget: float | None = attrs.field(default=None, validator=attrs.validators.optional(positive))
     folder: Literal["compare", "variants"] = "compare"
 
     def samples_of(self, variant: Variant) -> int:

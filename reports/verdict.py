@@ -30,7 +30,9 @@ from scipy import sparse, stats
 Kind = Literal["right", "wrong"]
 
 LEVEL = 0.05
-"""Chance of any false alarm in a run, shared equally by its tests."""
+"""Chance of any false alarm in a run, shared equally by its tests, and by its looks where it takes several."""
+OUTSIDE = 0.05
+"""Chance that a bias of exactly the margin is called EQUIVALENT, shared by the looks: at one look, a 90 % interval."""
 TOLERATED_BIAS = 0.001
 """f: a mean bias below this is never called a bias."""
 MARGIN = 0.01
@@ -315,13 +317,13 @@ class Verdict:
     reasons : tuple of str
         Why it is BIASED, the gravest first, or why not EQUIVALENT.
     bias, bias_low, bias_high, standard_error : float
-        Of the image's luminance, 90 % interval.
+        Of the image's luminance, 90 % interval; with several looks one that holds at 90 % over all of them.
     family_low, family_high : float or None
-        The same interval at 5 % over `tests`.
+        The same interval at 5 % over `tests` and `looks`.
     regions : tuple of RegionBias
         Each channel of the image and of each object: what the mean tests judge.
     rms_bias, rms_bias_high : float
-        `sign(θ) sqrt(|θ|)` over 8-px tiles and U, its upper bound at 95 %.
+        `sign(θ) sqrt(|θ|)` over 8-px tiles and U, its upper bound at 95 %, over all looks.
     place : str
         Where the error is proven, else where it is the most likely.
     tile : tuple of int
@@ -331,7 +333,7 @@ class Verdict:
     samples_to_margin, seconds_to_margin : float or None
         What both sides need, at these K and R, to be found EQUIVALENT in 80 % of runs if unbiased; None
         where not asked for, or where a bias beyond the margin is likely so that no samples will do.
-    margin, allowance, tests, predicted_bias
+    margin, allowance, tests, looks, predicted_bias
         As decided with.
     warnings : tuple of str
     """
@@ -356,6 +358,7 @@ class Verdict:
     margin: float
     allowance: float
     tests: int | None
+    looks: int
     predicted_bias: float | None
     warnings: tuple[str, ...]
 
@@ -546,6 +549,7 @@ def decide(
     statistics: Statistics,
     *,
     tests: int,
+    looks: int = 1,
     kind: Kind = "right",
     allowance: float = 0.0,
     margin: float = MARGIN,
@@ -566,6 +570,9 @@ def decide(
     statistics : Statistics
     tests : int
         Tests of all judged rows of the run; each test is made at 5 % over it.
+    looks : int
+        How often the row may be decided, each time with more replicates (see `reports.sequential`): each look
+        spends an equal share of the level, for BIASED and for EQUIVALENT.
     kind : "right" or "wrong"
         A wrong variant is (NOT) AS PREDICTED by its own limit.
     allowance : float
@@ -590,6 +597,8 @@ def decide(
         For a value out of range.
     """
     own = statistics.mean_tests if kernel else statistics.tests
+    if looks < 1:
+        raise ValueError(f"looks is {looks}; it must be at least 1")
     if kind not in WORDS:
         raise ValueError(f"kind is {kind!r}; allowed: {', '.join(WORDS)}")
     if judged and tests < own:
@@ -603,13 +612,13 @@ def decide(
         if not allowed or (value is not None and not np.isfinite(value)):
             raise ValueError(f"{name} is {value}; it must be finite and positive")
 
-    level = LEVEL / max(tests, 1)
+    level, outside = LEVEL / max(tests, 1) / looks, OUTSIDE / looks
     limit = _limit(statistics, allowance)
     printed = [*_place_errors(statistics, level), *_shape_errors(statistics, level)]
     proven = [*_invalid_values(statistics), *_mean_errors(statistics, level, limit)]
     if not kernel:
         proven, printed = proven + printed, []
-    open_questions = _open_questions(statistics, margin + allowance)
+    open_questions = _open_questions(statistics, margin + allowance, outside)
     biased, equivalent = WORDS[kind]
     if not judged:
         word, reasons = None, ()
@@ -624,11 +633,11 @@ def decide(
 
     due = judged and not statistics.absent
     luminance = statistics.luminance
-    low, high = (float(end) for end in luminance.interval(0.1))
+    low, high = (float(end) for end in luminance.interval(2 * outside))
     family_low, family_high = (float(end) if due else None for end in luminance.interval(level))
     tile = _worst_tile(statistics)
     theta = statistics.mean_square[8]
-    needed = _samples_ratio(statistics, margin + allowance)
+    needed = _samples_ratio(statistics, margin + allowance, outside)
     samples_to_margin = None if samples is None or needed is None else max(1, int(np.ceil(samples * needed)))
     verdict = Verdict(
         verdict=word,
@@ -640,9 +649,9 @@ def decide(
         standard_error=float(luminance.standard_error),
         family_low=family_low,
         family_high=family_high,
-        regions=_regions(statistics, level if due else None, limit),
+        regions=_regions(statistics, level if due else None, limit, outside),
         rms_bias=float(np.sign(theta.value) * np.sqrt(abs(theta.value))),
-        rms_bias_high=_shape_bound(theta),
+        rms_bias_high=_shape_bound(theta, outside),
         place=next((each.place for each in proven), _describe(tile)),
         tile=tile,
         detectable_bias=float(statistics.regions.detectable(level, limit)[0].max()) if due else None,
@@ -651,6 +660,7 @@ def decide(
         margin=margin,
         allowance=allowance,
         tests=tests if due else None,
+        looks=looks,
         predicted_bias=predicted_bias,
         warnings=statistics.warnings + tuple(f"{each.text} (printed, not judged)" for each in printed),
     )
@@ -816,44 +826,47 @@ def _place_errors(statistics: Statistics, level: float) -> list[_Finding]:
     return [_Finding(f"{place}: {interval}, the surest of {len(found)} of {tiles.bias.size} tiles", place)]
 
 
-def _shape_bound(theta: Estimate) -> float:
+def _shape_bound(theta: Estimate, outside: float) -> float:
     """U of rule 3."""
-    return float(np.sqrt(max(0.0, theta.high(0.05))))
+    return float(np.sqrt(max(0.0, theta.high(outside))))
 
 
-def _open_questions(statistics: Statistics, margin: float) -> tuple[str, ...]:
+def _open_questions(statistics: Statistics, margin: float, outside: float) -> tuple[str, ...]:
     """What keeps a row from being EQUIVALENT by rule 3."""
-    low, high = (end[0] for end in statistics.regions.interval(0.1))
+    low, high = (end[0] for end in statistics.regions.interval(2 * outside))
     questions = [
-        f"image, {channel}: [{_percent(low[c])}, {_percent(high[c])}] (90 %), not inside ±{margin:.2%}"
+        f"image, {channel}: [{_percent(low[c])}, {_percent(high[c])}] ({_confidence(outside)}), "
+        f"not inside ±{margin:.2%}"
         for c, channel in enumerate(CHANNELS)
         if not (-margin < low[c] and high[c] < margin)
     ]
-    if (bound := _shape_bound(statistics.mean_square[8])) >= SHAPE_MARGIN:
+    if (bound := _shape_bound(statistics.mean_square[8], outside)) >= SHAPE_MARGIN:
         questions.append(
             f"shape error of up to {bound:.2%} rms over 8-px tiles is not below {SHAPE_MARGIN:.0%}"
         )
     return tuple(questions)
 
 
-def _samples_ratio(statistics: Statistics, margin: float) -> float | None:
+def _samples_ratio(statistics: Statistics, margin: float, outside: float) -> float | None:
     """Factor on the samples of both sides at which an unbiased row is EQUIVALENT with a power of 80 %.
 
     Standard errors of means fall as 1/sqrt(samples); that of a mean square around 0 falls as 1/samples.
     """
-    low, high = (end[0] for end in statistics.regions.interval(0.1))
+    low, high = (end[0] for end in statistics.regions.interval(2 * outside))
     theta = statistics.mean_square[8]
-    if np.any((low > margin) | (high < -margin)) or theta.low(0.05) > SHAPE_MARGIN**2:
+    if np.any((low > margin) | (high < -margin)) or theta.low(outside) > SHAPE_MARGIN**2:
         return None
     # An interval can leave the margin at either end, U only at one: hence half the misses for each end.
     error, dof = statistics.regions.standard_error[0], statistics.regions.dof[0]
-    mean = np.max((stats.t.isf(0.05, dof) + stats.t.isf((1 - POWER) / 2, dof)) * error) / margin
-    quantiles = stats.t.isf([0.05, 1 - POWER], theta.dof).sum()
+    mean = np.max((stats.t.isf(outside, dof) + stats.t.isf((1 - POWER) / 2, dof)) * error) / margin
+    quantiles = stats.t.isf([outside, 1 - POWER], theta.dof).sum()
     return float(max(mean**2, quantiles * theta.standard_error / SHAPE_MARGIN**2))
 
 
-def _regions(statistics: Statistics, level: float | None, limit: float) -> tuple[RegionBias, ...]:
-    low, high = statistics.regions.interval(0.1)
+def _regions(
+    statistics: Statistics, level: float | None, limit: float, outside: float
+) -> tuple[RegionBias, ...]:
+    low, high = statistics.regions.interval(2 * outside)
     at_level = (
         None
         if level is None
@@ -893,28 +906,36 @@ def _describe(tile: tuple[int, int, int, int]) -> str:
     return f"tile x {x}-{x + width - 1}, y {y}-{y + height - 1}"
 
 
+def _confidence(outside: float) -> str:
+    """Of the two-sided interval that leaves out `outside` at each end."""
+    return f"{100 * (1 - 2 * outside):g} %"
+
+
 def _percent(value: np.ndarray | float) -> str:
     return f"{value:+.2%}" if abs(value) < 10 else f"{value:+.2e}"
 
 
 def _sentence(verdict: Verdict, statistics: Statistics, kernel: bool) -> str:
     """What was tested, what was found, and what is not excluded."""
+    outside = OUTSIDE / verdict.looks
     bias = f"{_percent(verdict.bias)} [{_percent(verdict.bias_low)}, {_percent(verdict.bias_high)}]"
     if verdict.verdict is None:
         predicted = (
             "" if verdict.predicted_bias is None else f"; predicted {_percent(verdict.predicted_bias)}"
         )
-        return f"Measured, not judged: luminance differs by {bias} (90 %){predicted}."
+        return f"Measured, not judged: luminance differs by {bias} ({_confidence(outside)}){predicted}."
     if verdict.verdict == "ABSENT":
         why = f" ({verdict.reasons[0]})" if verdict.reasons else ""
         return f"ABSENT: both sides are exactly 0 everywhere{why}; nothing was tested."
     more = "" if kernel else f", {len(SHAPE_LIMITS)} of shape, 1 of place"
     tested = f"{statistics.mean_tests} tests of means{more}, each at {LEVEL:.0%}/{verdict.tests}"
+    if verdict.looks > 1:
+        tested += f"/{verdict.looks} ({verdict.looks} looks, this one at K = {statistics.replicates})"
     excluded = (
         f"a shape error of up to {verdict.rms_bias_high:.2%} rms over 8-px tiles, "
         f"a mean bias below {verdict.detectable_bias:.2%} (found in {POWER:.0%} of runs)"
     )
-    parts = [f"{verdict.verdict}: {tested}; luminance bias {bias} (90 %)"]
+    parts = [f"{verdict.verdict}: {tested}; luminance bias {bias} ({_confidence(outside)})"]
     if verdict.reasons:
         parts.append("; ".join(verdict.reasons[:3]))
     if verdict.verdict == "UNDERPOWERED":
@@ -923,7 +944,7 @@ def _sentence(verdict: Verdict, statistics: Statistics, kernel: bool) -> str:
             parts.append(
                 f"an unbiased row would need {verdict.samples_to_margin} samples on both sides{took}"
             )
-        elif _samples_ratio(statistics, verdict.margin + verdict.allowance) is None:
+        elif _samples_ratio(statistics, verdict.margin + verdict.allowance, outside) is None:
             parts.append(
                 "a bias beyond the margin is likely, which more samples would prove rather than remove"
             )

@@ -63,6 +63,37 @@ def test_a_wrong_estimator_is_caught(tmp_path):
     assert sorted(prefixes) == [1, 2, 4]
 
 
+def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path):
+    """A noisy one, undecided at 4 replicates: with a budget each (seed, count) is asked for once."""
+    asked = []
+
+    def noisy(scene, samples, seed):
+        asked.append((samples, seed))
+        return np.random.default_rng((seed, samples)).gamma(0.1, 1.0, (*scene.resolution[::-1], 3))
+
+    termwise.register("ambient", "noisy", noisy, Limit("ambient"))
+    small = attrs.evolve(
+        study.load("quick"),
+        resolution=(8, 8),
+        replicates=4,
+        reference_replicates=4,
+        reference_spp=4,
+        physical_spp=1,
+        samples={"ambient": 2, "direct": 1, "specular": 1, "background": 1},
+        variants=study.Variants(ambient=("noisy",), direct=("path",), specular=("vndf",)),
+        budget=3600.0,
+    )
+    scenes = subjects.scenes_of(small, ("two_cubes",))
+    results = run.measure(small, scenes, tmp_path, name="quick", report=lambda what, done, total: None)
+    (row,) = (row for row in results["cells"] if row["variant"] == "noisy" and row["verdict"])
+    assert row["replicates"] > 4
+    assert len(set(asked)) == len(asked)
+    (work,) = (
+        each for each in results["settings"]["scenes"]["two_cubes"]["work"] if each["variant"] == "noisy"
+    )
+    assert len(asked) == 2 * work["replicates"]
+
+
 def test_a_run_with_python_estimators_is_never_taken_for_an_old_one():
     kept = study.load("quick")
     scenes = subjects.scenes_of(kept, ("cornell_box",))

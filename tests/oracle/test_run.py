@@ -314,6 +314,96 @@ def test_another_folder_computes_nothing_either(first: Finished, compare: Callab
         assert row | {"compile_seconds": 0} == other | {"compile_seconds": 0}
 
 
+@pytest.fixture(scope="module")
+def sequential_run(first: Finished, compare: Callable[..., Finished]) -> Finished:
+    """The study with a budget that lets every row go to its last look."""
+    return compare("--json", "--budget", "1h", out="budget")
+
+
+def test_a_budget_already_spent_gives_the_bits_of_a_run_without(
+    first: Finished, results: dict[str, Any], compare: Callable[..., Finished]
+):
+    spent = compare("--json", "--budget", "0.001", out="spent")
+    assert (spent.computed, spent.rendered) == (0, 0)
+    found = json.loads(spent.output)
+    decided = {"EQUIVALENT", "AS PREDICTED", "BIASED", "NOT AS PREDICTED"}
+    for row, other in zip(found["cells"], results["cells"], strict=True):
+        for key in ("bias", "standard_error", "rmse", "relmse", "ssim", "seconds", "replicates", "split"):
+            assert row[key] == other[key], key
+        assert row["verdict"] not in decided or row["verdict"] == other["verdict"], "a quarter of the level"
+        assert row["looks"] in (4, None)
+    with (
+        xarray.open_dataset(first.folder / "results.nc", group="scene", engine="h5netcdf") as group,
+        xarray.open_dataset(spent.folder / "results.nc", group="scene", engine="h5netcdf") as other,
+    ):
+        xarray.testing.assert_identical(group, other)
+
+
+def test_a_budget_extends_undecided_rows_alone(
+    first: Finished, results: dict[str, Any], sequential_run: Finished, files: Path
+):
+    """Looks at K = R = 4, 8, 16, 32; a row that was decided keeps its verdict and its replicates."""
+    found = json.loads(sequential_run.output)
+    certified = found["settings"]["certified"]
+    assert certified["looks"] == [4, 8, 16, 32]
+    judged = [row for row in found["cells"] if row["verdict"] not in (None, "ABSENT")]
+    for row in judged:
+        assert row["replicates"] == row["reference_replicates"]
+        assert row["replicates"] in certified["looks"]
+        assert row["verdict"] != "UNDERPOWERED" or row["replicates"] == 32
+        assert row["looks"] == 4
+    absent = [row["replicates"] for row in found["cells"] if row["verdict"] == "ABSENT"]
+    assert absent == [4] * len(absent) != []
+    assert len({row["replicates"] for row in judged}) > 1, "some were decided before others"
+    # A cell and a reference have as many replicates as the row that went furthest, and none twice.
+    furthest: dict[tuple[str, str], int] = {}
+    for row in judged:
+        parts = [(row["term"], row["variant"])]
+        if row["term"] == "total":
+            parts = [(term, getattr(study.Variants(), term)[0]) for term in TERMS]
+        for part in parts:
+            furthest[part] = max(row["replicates"], furthest.get(part, 4))
+    assert sequential_run.computed == sum(count - 4 for count in furthest.values())
+    assert furthest == {
+        (each["term"], each["variant"]): each["replicates"]
+        for each in found["settings"]["scenes"]["scene"]["work"]
+        if (each["term"], each["variant"]) in furthest
+    }
+    assert certified["rows"] == sum(row["verdict"] in ("EQUIVALENT", "AS PREDICTED") for row in judged)
+    assert certified["of"] == len(judged)
+    terms = [r for r in judged if r["verdict"] in ("EQUIVALENT", "AS PREDICTED") and r["term"] != "total"]
+    assert 0 < certified["seconds"]
+    assert certified["seconds"] <= sum(row["seconds"] for row in judged)
+    assert certified["seconds"] >= max((row["seconds"] for row in terms), default=0.0)
+    assert certified["spent"] >= certified["seconds"] + certified["reference_seconds"]
+
+
+def test_a_budget_charges_kept_seconds_so_that_a_second_run_decides_the_same(
+    sequential_run: Finished, compare: Callable[..., Finished]
+):
+    again = compare("--json", "--budget", "1h", out="budget elsewhere")
+    assert (again.computed, again.rendered) == (0, 0)
+    ours, theirs = json.loads(again.output), json.loads(sequential_run.output)
+    for row, other in zip(ours["cells"], theirs["cells"], strict=True):
+        assert row | {"compile_seconds": 0} == other | {"compile_seconds": 0}
+    spent = [each["settings"]["certified"]["spent"] for each in (ours, theirs)]
+    assert spent[0] == spent[1]
+
+
+def test_a_budget_shows_in_the_terminal_and_on_the_pages(
+    sequential_run: Finished, compare: Callable[..., Finished]
+):
+    shown = compare("--budget", "1h", out="budget")
+    assert shown.computed == 0
+    assert "s to certify |bias| < 1%" in shown.output
+    assert "Budget 3600 s" in shown.output
+    assert "looks at K = 4, 8, 16, 32" in shown.output
+    index = (sequential_run.folder / "index.html").read_text("utf-8")
+    assert "to certify |bias| &lt; 1" in index
+    assert "looks at K = 4, 8, 16, 32" in index
+    assert "This run had a budget" in (sequential_run.folder / "method.html").read_text("utf-8")
+
+
 def test_what_is_missing_is_computed_alone(first: Finished, compare: Callable[..., Finished], files: Path):
     kept = sorted((files / "cache" / "cells").rglob("*.npz"))
     kept[0].write_bytes(kept[0].read_bytes()[:100])
@@ -528,5 +618,10 @@ change = { irradiance = "E" }
         assert radii[1] / radii[0] == pytest.approx(0.7)
         for point in each["points"]:
             assert point["low"] < point["error"] < point["high"]
+            parts = point["classes"]
+            assert sum(part["error"] for part in parts.values()) == pytest.approx(point["error"], abs=1e-9)
+            pixels = [part["pixels"] for part in parts.values()]
+            assert sum(pixels) == pytest.approx(1.0) if point["radius"] else pixels == [None] * 3
+        assert each["label"] in ("interior", "boundary", "none proven")
     page = (files / "settings" / "compare" / "scenes" / "scene.bright.html").read_text("utf-8")
     assert "Direct light read as E" in page

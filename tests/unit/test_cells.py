@@ -90,6 +90,17 @@ def test_more_replicates_keep_those_there_are(scene: Scene, tmp_path: Path):
     assert engine.asked == [REPLICATES, REPLICATES + 1]
 
 
+def test_replicates_at_hand_are_not_taken_again(scene: Scene, tmp_path: Path):
+    """What no disk keeps is extended in place: the same bits, and the work of all."""
+    before, engine = take(Recorder(scene), tmp_path / "a"), Recorder(scene)
+    more = take(engine, tmp_path / "b", replicates=REPLICATES + 2, before=before)
+    assert engine.asked == [REPLICATES, REPLICATES + 1]
+    whole = take(Recorder(scene), tmp_path / "c", replicates=REPLICATES + 2)
+    np.testing.assert_array_equal(more.images, whole.images)
+    np.testing.assert_array_equal(more.seconds, whole.seconds)
+    assert (more.counts, more.kernels, more.key) == (whole.counts, whole.kernels, whole.key)
+
+
 def _truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 

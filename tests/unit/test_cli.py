@@ -116,6 +116,11 @@ SMALL = "--samples", 1, "--resolution", 4, 4
         (["compare", "--study", "missing.toml"], ["missing.toml", "No such file"]),
         (["compare", "--study", "scene.toml"], ["scene.toml", "unknown key", "resolution"]),
         (["compare", "--backend", "glow"], ["'glow'", "llvm_ad_rgb"]),
+        *(
+            (["compare", "monkey", "--budget", budget], ["--budget", f"'{budget}'", "90, 90s, 2m or 1h"])
+            for budget in ("soon", "0", "0s", "1d", "nan", "2 m", "m", "1e400", "1h30m", "9" * 400)
+        ),
+        (["compare", "monkey", "--budget=-5"], ["--budget", "'-5'", "90, 90s, 2m or 1h"]),
         (["compare", "monkey", "--study", "quick", "--out", "file"], ["file/compare", "Not a directory"]),
         (["judge"], ["--reference"]),
         (["judge", "--reference", "scene.toml"], ["images: none given", "OpenEXR files"]),
@@ -357,3 +362,23 @@ def test_judge_needs_colour(run: Command):
     pixels = np.zeros((4, 4), np.float32)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": pixels}).write("depth.exr")
     refused(run("judge", "depth.exr", "--reference", "depth.exr"), "depth.exr", "no RGB channels")
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("90", 90), ("90s", 90), ("2m", 120), ("1h", 3600), ("0.5m", 30), (".5", 0.5)],
+)
+def test_budgets_are_read_in_seconds_minutes_and_hours(
+    text: str, seconds: float, run: Command, monkeypatch: pytest.MonkeyPatch
+):
+    from reports import run as runs
+
+    asked = []
+
+    def stop(study: Any, *_: Any) -> str:
+        asked.append(study.budget)
+        raise ValueError("stopped")
+
+    monkeypatch.setattr(runs, "digest", stop)
+    refused(run("compare", "monkey", "--study", "quick", "--budget", text), "stopped")
+    assert asked == [seconds]

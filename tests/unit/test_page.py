@@ -98,9 +98,24 @@ def variants_run(tmp_path_factory):
             "scene": SCENES[0],
             "variant": "photon-map",
             "points": [
-                {"radius": radius, "error": radius**2, "low": radius**2 - 0.003, "high": radius**2 + 0.003}
+                {
+                    "radius": radius,
+                    "error": radius**2,
+                    "low": radius**2 - 0.003,
+                    "high": radius**2 + 0.003,
+                    "classes": {
+                        name: {
+                            "error": part * radius**2,
+                            "low": -0.001,
+                            "high": 0.1,
+                            "pixels": part if radius else None,
+                        }
+                        for name, part in (("interior", 0.7), ("boundary", 0.2), ("leak", 0.1))
+                    },
+                }  # fmt: skip
                 for radius in (0.3, 0.2, 0.1, 0.0)
             ],
+            "label": "interior",
         }
     ]
     (folder / "results.json").write_text(json.dumps(results), "utf-8")
