@@ -27,7 +27,7 @@ from renderer import photon_map
 from renderer.plan import plan, skipped
 from renderer.terms import Variant, registered
 from renderer.tiles import Engine
-from reports import cells, closed_forms, exact, images, metrics, verdict
+from reports import cells, closed_forms, exact, images, metrics, tiles, verdict
 from reports.cells import Cell
 from reports.convergence import (
     PREFIXES_NEEDED,
@@ -224,6 +224,13 @@ def measure(
         "cells": rows,
         "extrapolations": extrapolations,
     }
+    for scene_name in described:
+        found_maps = {
+            (row.fields["term"], row.fields["variant"]): maps
+            for row in waiting
+            if row.fields["scene"] == scene_name and (maps := _tile_maps(row)) is not None
+        }
+        pictures.locate(scene_name, found_maps)
     pictures.close()
     # A page of an earlier run must not stand beside new results, should this one end here.
     (folder / "index.html").unlink(missing_ok=True)
@@ -621,6 +628,13 @@ def _tests(row: _Row) -> int:
     return row.statistics.mean_tests if row.decide["kernel"] else row.statistics.tests
 
 
+def _tile_maps(row: _Row) -> dict[int, tiles.TileMap] | None:
+    """Of a row that is judged and has light."""
+    if row.statistics is None or not row.judged or row.statistics.absent:
+        return None
+    return tiles.tile_maps(row.statistics)
+
+
 def _decided(row: _Row, tests: int) -> dict[str, Any]:
     if row.statistics is None:
         return {**row.fields, **_NOT_JUDGED}
@@ -631,13 +645,14 @@ def _decided(row: _Row, tests: int) -> dict[str, Any]:
         **outcome,
         "channels": [region for region in regions if region["region"] == verdict.IMAGE],
         "objects": [region for region in regions if region["region"] != verdict.IMAGE],
+        "tiles": [] if (maps := _tile_maps(row)) is None else tiles.summary(maps),
     }
 
 
 # A prefix of a run has errors, but neither bias nor verdict of its own.
 _NOT_JUDGED: dict[str, Any] = dict.fromkeys(
     field.name for field in attrs.fields(Verdict) if field.name != "regions"
-) | {"warnings": [], "reasons": [], "channels": [], "objects": []}
+) | {"warnings": [], "reasons": [], "channels": [], "objects": [], "tiles": []}
 
 
 def _describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, Any]:

@@ -118,9 +118,9 @@ SMALL = "--samples", 1, "--resolution", 4, 4
         (["compare", "--backend", "glow"], ["'glow'", "llvm_ad_rgb"]),
         (["compare", "monkey", "--study", "quick", "--out", "file"], ["file/compare", "Not a directory"]),
         (["judge"], ["--reference"]),
-        (["judge", "--reference", "scene.toml"], ["images: none given", "OpenEXR files"]),
+        (["judge", "--reference", "scene.toml"], ["images: none given", "OpenEXR files", "folders"]),
         (["judge", "missing.exr", "--reference", "missing.exr"], ["missing.exr", "no such file"]),
-        (["judge", ".", "--reference", "."], [".", "is a folder"]),
+        (["judge", ".", "--reference", "."], [".", "holds no .exr file", "folders"]),
         (["judge", "scene.toml", "--reference", "scene.toml"], ["scene.toml", "not an OpenEXR"]),
     ],
     ids=lambda value: " ".join(map(str, value)) if value and isinstance(value[0], str) else None,
@@ -302,7 +302,7 @@ def test_judge_with_an_exact_reference(run: Command, replicates: Callable[..., l
     verdict = json.loads(outcome.output)
     assert (outcome.status, verdict["verdict"]) == (0, "EQUIVALENT")
     assert "taken as exact" in verdict["sentence"]
-    refused(run("judge", *ours, "--reference", *exact), "reference: 1 replicates", "--reference-exact")
+    refused(run("judge", *ours, "--reference", *exact), "reference: 1 replicate", "--reference-exact")
     two = replicates("two", seed=3, count=2)
     refused(run("judge", *ours, "--reference", *two, "--reference-exact"), "reference: 2 images", "one image")
 
