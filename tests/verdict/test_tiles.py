@@ -211,7 +211,7 @@ def test_the_surest_tiles_are_listed_first_and_no_more_than_ten(picture):
 
 
 def test_skewed_tiles_are_merged_to_the_next_size():
-    """One pixel in 200 gets light: tiles of 8 px hold 0.3 such pixels, of 16 px 1.3, of 32 px 5; the skewness is 1/√."""
+    """One pixel in 200 gets light: tiles of 8 px hold 0.3 of them, of 16 px 1.3, of 32 px 5; skewness is 1/√."""
     rng = np.random.default_rng(31)
 
     def sparse(probability):
