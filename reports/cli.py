@@ -9,7 +9,7 @@ import json
 import re
 import runpy
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -139,47 +139,89 @@ def judge(
     *images: Path,
     reference: Annotated[list[Path], Parameter(consume_multiple=True)],
     reference_exact: Annotated[bool, Parameter(negative="")] = False,
+    noiseless: Annotated[bool, Parameter(negative="")] = False,
     part: str | None = None,
+    exposure: float | None = None,
+    out: Path = Path("out"),
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
-    """Judge any renderer's replicate images against replicates of a reference.
+    """Judge any renderer's replicate images against replicates of a reference, and write a page about it.
 
     Parameters
     ----------
     images
-        OpenEXR replicates of one image: equal settings, different seeds. At least 4, better 16.
+        OpenEXR replicates of one image (equal settings, different seeds), or folders of them. At least 4, better 16.
     reference
-        Replicates of the reference.
+        Replicates of the reference, files or folders.
     reference_exact
         The one reference image has no noise.
+    noiseless
+        The renderer has no noise: its replicates may all be the same image.
     part
         Name of the part to read where a file has several.
+    exposure
+        Factor on the radiance in the pictures; by default the reference's mean is shown as middle grey.
+    out
+        Page, numbers and images go to OUT/judge.
     json_
         Print the verdict as JSON on standard output.
     """
-    from reports.run import plain
-    from reports.verdict import judge as decide
+    from reports import judging
+    from reports.page import judge as page
 
-    for name, given in (("images", images), ("reference", reference)):
-        if not given:
-            raise ValueError(f"{name}: none given: allowed are OpenEXR files")
-    outcome = decide(
-        [_read(path, part) for path in images],
-        [_read(path, part) for path in reference],
+    files = {name: _files(name, given) for name, given in (("images", images), ("reference", reference))}
+    stacks = {name: [_read(path, part) for path in found] for name, found in files.items()}
+    folder = _folder(out / "judge")
+    outcome = judging.judge(
+        stacks["images"],
+        stacks["reference"],
+        folder,
         exact=reference_exact,
-        names=[str(path) for path in images],
-        reference_names=[str(path) for path in reference],
-    )
-    for warning in outcome.warnings:
+        noiseless=noiseless,
+        names=[str(path) for path in files["images"]],
+        reference_names=[str(path) for path in files["reference"]],
+        exposure=exposure,
+        command=" ".join(["termwise", *sys.argv[1:]]),
+    )["verdict"]
+    index = page.write(folder)
+    for warning in outcome["warnings"]:
         _messages.print(f"termwise: {warning}", soft_wrap=True, highlight=False)
     if json_:
-        print(json.dumps(plain(attrs.asdict(outcome))))
-    else:
-        _output.print(f"[bold]{outcome.verdict}[/bold]", highlight=False)
-        _output.print(outcome.sentence, highlight=False, soft_wrap=True)
-        for reason in outcome.reasons:
-            _output.print(f"- {reason}", highlight=False, soft_wrap=True)
-    return 1 if outcome.verdict == "BIASED" else 0
+        print(json.dumps(outcome | {"page": str(index)}))
+        return 1 if outcome["verdict"] == "BIASED" else 0
+    _output.print(f"[bold]{outcome['verdict']}[/bold]", highlight=False)
+    _output.print(outcome["sentence"], highlight=False, soft_wrap=True)
+    for reason in outcome["reasons"]:
+        _output.print(f"- {reason}", highlight=False, soft_wrap=True)
+    for size in outcome["tiles"]:
+        _output.print(_of_tiles(size), highlight=False, soft_wrap=True)
+    _output.print(f"\nReport: {index.resolve()}", highlight=False, soft_wrap=True)
+    return 1 if outcome["verdict"] == "BIASED" else 0
+
+
+def _files(name: str, given: Sequence[Path]) -> list[Path]:
+    """The files named, and those of the folders named."""
+    if not given:
+        raise ValueError(f"{name}: none given: allowed are OpenEXR files, or folders of them")
+    found = []
+    for path in given:
+        inside = sorted(path.glob("*.exr")) if path.is_dir() else [path]
+        if not inside:
+            raise ValueError(f"{path}: holds no .exr file: allowed are folders of OpenEXR replicates")
+        found += inside
+    return found
+
+
+def _of_tiles(size: dict[str, Any]) -> str:
+    """What the tests of one size of tiles found, in a line."""
+    what = f"tiles of {size['side']} px"
+    if size["merged_into"] is not None:
+        return (
+            f"{what}: merged into those of {size['merged_into']} px (median skewness {size['skewness']:.2f})"
+        )
+    found = f"{size['holm']} of {size['tested']} found by Holm, {size['benjamini_hochberg']} by Benjamini-Hochberg"
+    text = f"{what}: {found}"
+    return text if size["uniform_p"] is None else f"{text}; p is uniform with p = {size['uniform_p']:.2g}"
 
 
 @app.command
@@ -771,8 +813,7 @@ def _read(path: Path, part: str | None) -> np.ndarray:
     from reports.images import read_exr
 
     if not path.is_file():
-        found = "is a folder" if path.is_dir() else "no such file"
-        raise ValueError(f"{path}: {found}: allowed are OpenEXR images")
+        raise ValueError(f"{path}: no such file: allowed are OpenEXR images")
     parts = read_exr(path)
     if part is None and len(parts) == 1:
         return next(iter(parts.values()))

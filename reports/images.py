@@ -2,8 +2,8 @@
 
 An EXR holds one part per term image and reference, float32, linear Rec. 709, with its provenance in the header.
 `results.nc` has a group a scene: `image(cell, y, x, channel)` and `reference(limit, y, x, channel)`, means over
-replicates with the variance of the mean, and for each cell the indices of its own, correct and physical limit, -1 where
-there is none.
+replicates with the variance of the mean, for each cell the indices of its own, correct and physical limit, -1 where
+there is none, and the maps of its tiles, see `reports.tiles`.
 """
 
 import errno
@@ -17,6 +17,7 @@ import xarray
 
 from reports.cells import Cell
 from reports.subjects import Subject
+from reports.tiles import TileMap, variables
 from reports.verdict import CHANNELS
 from scenes import limits
 from scenes.limits import Limit
@@ -171,15 +172,26 @@ class Pictures:
         }
         write_exr(self.folder / "images" / f"{scene.name}.exr", parts, header)
 
+    def locate(self, scene: str, maps: dict[tuple[str, str], dict[int, TileMap]]) -> None:
+        """Add the maps of a scene's judged cells, by term and variant."""
+        dataset = self.groups[scene]
+        cells = zip(dataset.cell_term.values.tolist(), dataset.cell_variant.values.tolist(), strict=True)
+        self.groups[scene] = dataset.assign(variables([maps.get(cell) for cell in cells]))
+
     def close(self) -> None:
         """Write `results.nc`."""
-        compressed = {"zlib": True, "complevel": 1}
-        encoding = {
-            f"/{name}": dict.fromkeys(dataset.data_vars, compressed) for name, dataset in self.groups.items()
-        }
-        # By way of memory: HDF5 ends the whole process where a disk fills up under an open file.
-        content = xarray.DataTree.from_dict(self.groups).to_netcdf(None, engine="h5netcdf", encoding=encoding)
-        write_atomically(self.folder / "results.nc", lambda path: path.write_bytes(content))
+        write_netcdf(
+            self.folder / "results.nc", {f"/{name}": dataset for name, dataset in self.groups.items()}
+        )
+
+
+def write_netcdf(path: Path, groups: dict[str, xarray.Dataset]) -> None:
+    """Write datasets, by their paths in it, into one compressed file; it appears whole or not at all."""
+    compressed = {"zlib": True, "complevel": 1}
+    encoding = {name: dict.fromkeys(dataset.data_vars, compressed) for name, dataset in groups.items()}
+    # By way of memory: HDF5 ends the whole process where a disk fills up under an open file.
+    content = xarray.DataTree.from_dict(groups).to_netcdf(None, engine="h5netcdf", encoding=encoding)
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
 
 
 def _summary(stack: np.ndarray, samples: int) -> TermImage:

@@ -28,7 +28,18 @@ from renderer import photon_map
 from renderer.plan import plan, skipped
 from renderer.terms import Chain, Variant, registered
 from renderer.tiles import Engine
-from reports import cells, closed_forms, exact, images, kernel_bias, metrics, references, sequential, verdict
+from reports import (
+    cells,
+    closed_forms,
+    exact,
+    images,
+    kernel_bias,
+    metrics,
+    references,
+    sequential,
+    tiles,
+    verdict,
+)
 from reports.cells import Cell
 from reports.convergence import (
     PREFIXES_NEEDED,
@@ -234,6 +245,13 @@ def measure(
         "extrapolations": extrapolations,
         "audits": audited,
     }
+    for scene_name in described:
+        found_maps = {
+            (row.fields["term"], row.fields["variant"]): maps
+            for row in (row for group in groups for row in group.rows)
+            if row.fields["scene"] == scene_name and (maps := _tile_maps(row)) is not None
+        }
+        pictures.locate(scene_name, found_maps)
     pictures.close()
     # A page of an earlier run must not stand beside new results, should this one end here.
     (folder / "index.html").unlink(missing_ok=True)
@@ -874,6 +892,13 @@ def _tests(row: _Row) -> int:
     return row.statistics.mean_tests if row.decide["kernel"] else row.statistics.tests
 
 
+def _tile_maps(row: _Row) -> dict[int, tiles.TileMap] | None:
+    """Of a row that is judged and has light."""
+    if row.statistics is None or not row.judged or row.statistics.absent:
+        return None
+    return tiles.tile_maps(row.statistics)
+
+
 def _decided(row: _Row, tests: int, audited: list[dict[str, Any]], looks: int = 1) -> dict[str, Any]:
     word, failed = references.findings(audited, row.scene, row.limits)
     fields = {**row.fields, "reference_audit": word}
@@ -892,13 +917,14 @@ def _decided(row: _Row, tests: int, audited: list[dict[str, Any]], looks: int = 
         **outcome,
         "channels": [region for region in regions if region["region"] == verdict.IMAGE],
         "objects": [region for region in regions if region["region"] != verdict.IMAGE],
+        "tiles": [] if (maps := _tile_maps(row)) is None else tiles.summary(maps),
     }
 
 
 # A prefix of a run has errors, but neither bias nor verdict of its own.
 _NOT_JUDGED: dict[str, Any] = dict.fromkeys(
     field.name for field in attrs.fields(Verdict) if field.name != "regions"
-) | {"warnings": [], "reasons": [], "channels": [], "objects": []}
+) | {"warnings": [], "reasons": [], "channels": [], "objects": [], "tiles": []}
 
 
 def _describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, Any]:

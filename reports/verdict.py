@@ -191,9 +191,12 @@ class Comparison:
         return self.bias - half, self.bias + half
 
     def p_values(self) -> np.ndarray:
-        """Two-sided p of "no bias at all"; uniform under the null, NaN where nothing varies."""
+        """Two-sided p of "no bias at all"; uniform under the null but for noiseless places, which the floor judges.
+
+        NaN where all replicates of both sides are the same number: there is nothing to test.
+        """
         p = 2 * stats.t.sf(np.abs(self.bias) / self.standard_error, self.dof)
-        return np.where(self.noiseless, np.nan, p)
+        return np.where(self.noiseless & (self.bias == 0), np.nan, p)
 
     def detectable(self, level: float, limit: float) -> np.ndarray:
         """Smallest bias that this very measurement finds outside ±limit in 80 % of the runs."""
@@ -243,6 +246,11 @@ class Statistics:
     tiles : dict of int to Comparison
         Luminance per tile of 8, 16 and 32 px, (ceil(H/side), ceil(W/side)), relative to the larger of
         the tile's reference mean and `term_mean`.
+    channel_tiles : dict of int to Comparison
+        The same per channel, (3, ceil(H/side), ceil(W/side)).
+    tile_skewness : dict of int to float
+        Of the luminance of a tile over the replicates, bias-corrected: median over the tiles that vary, of
+        the side where it is larger; 0 where no tile varies.
     mean_square : dict of int to Estimate
         θ of luminance over blocks of 2 and 8 px relative to `term_mean`².
     bias_squared : Estimate
@@ -268,6 +276,8 @@ class Statistics:
     regions: Comparison
     luminance: Comparison
     tiles: dict[int, Comparison]
+    channel_tiles: dict[int, Comparison]
+    tile_skewness: dict[int, float]
     mean_square: dict[int, Estimate]
     bias_squared: Estimate
     variance: float
@@ -382,13 +392,14 @@ class ErrorSplit:
 
 
 def measure(
-    ours: np.ndarray,
-    reference: np.ndarray,
+    ours: np.ndarray | Sequence[np.ndarray],
+    reference: np.ndarray | Sequence[np.ndarray],
     *,
     objects: np.ndarray | None = None,
     object_names: Sequence[str] = (),
     scale: float | None = None,
     exact: bool = False,
+    noiseless: bool = True,
     names: Sequence[str] = (),
     reference_names: Sequence[str] = (),
 ) -> Statistics:
@@ -396,9 +407,9 @@ def measure(
 
     Parameters
     ----------
-    ours : (K, H, W, 3) floating
+    ours : (K, H, W, 3) floating, or sequence of (H, W, 3)
         Replicates, linear Rec. 709 radiance; an array or a memory map, read by bands of rows.
-    reference : (R, H, W, 3) floating
+    reference : (R, H, W, 3) floating, or sequence of (H, W, 3)
         Replicates of the reference in the same unit; R = 1 with `exact`.
     objects : (H, W) integer, optional
         Object index per pixel, -1 for none; each object present is judged on its own too.
@@ -409,6 +420,8 @@ def measure(
         total. Without it, ours' own mean.
     exact : bool
         The one reference image has no noise.
+    noiseless : bool
+        Ours may be free of noise: where all its replicates are the same image that is a warning, not equal seeds.
     names, reference_names : sequence of str
         What the replicates are called in messages, say their files.
 
@@ -422,10 +435,10 @@ def measure(
     ------
     ValueError
         For shapes that do not fit, values that are no floats, fewer than 4 replicates, two replicates that
-        are the same image although others differ, an invalid value in the reference, a scale that is not
-        positive.
+        are the same image although others differ (or all of ours, unless it may be free of noise), an invalid
+        value in the reference, a scale that is not positive.
     """
-    ours, reference = _replicates("ours", ours), _replicates("reference", reference)
+    ours, reference = _replicates("ours", ours, names), _replicates("reference", reference, reference_names)
     _check(ours, reference, objects, scale, exact)
     count, everyone = len(ours), len(ours) + len(reference)
     height, width = ours.shape[1:3]
@@ -465,7 +478,7 @@ def measure(
         blocks, area = _block_sums(luminance, 2)
         centred = ((blocks - blocks.mean(axis=0)) / np.sqrt(area)).reshape(everyone, -1)
         block_products += centred @ centred.T
-        tile_rows.append(_block_sums(luminance, TILE_SIDES[0])[0])
+        tile_rows.append(_block_sums(np.moveaxis(band, -1, 1), TILE_SIDES[0])[0])
 
         sums[0] += band.sum(axis=(1, 2))
         areas[0] += luminance[0].size
@@ -480,7 +493,7 @@ def measure(
             sums[1:] += (member @ pixels).reshape(-1, everyone, 3)
             areas[1:] += member.sum(axis=1)
 
-    warnings = equality.warnings(labels, count) + [
+    warnings = equality.warnings(labels, count, noiseless) + [
         f"{number} replicates of {side}: fewer than {REPLICATES_WANTED}, intervals are wide and less sure"
         for side, number in (("ours", count), ("the reference", len(reference)))
         if number < REPLICATES_WANTED and not (side == "the reference" and exact)
@@ -499,13 +512,19 @@ def measure(
         return _welch(values[:count], values[count:], least=least, term_mean=term_mean)
 
     by_replicate = np.moveaxis(means, 1, 0)
-    tile_sums = np.concatenate(tile_rows, axis=1)
-    tiles, tile_area = {}, _block_sums(np.ones((1, height, width)), TILE_SIDES[0])[1]
+    tile_sums = np.concatenate(tile_rows, axis=2)
+    tile_area = _block_sums(np.ones((1, height, width)), TILE_SIDES[0])[1]
+    tiles, channel_tiles, tile_skewness = {}, {}, {}
     for side in TILE_SIDES:
         step = side // TILE_SIDES[0]
         at_side = _block_sums(tile_sums, step)[0] / _block_sums(tile_area[None], step)[0]
-        tiles[side] = compare(at_side, term_mean)
-    tile_means = tile_sums / tile_area
+        at_side_luminance = _luminance(np.moveaxis(at_side, 1, -1))
+        tiles[side] = compare(at_side_luminance, term_mean)
+        channel_tiles[side] = compare(at_side, term_mean)
+        tile_skewness[side] = max(
+            _median_skewness(at_side_luminance[a:b]) for a, b in ((0, count), (count, None))
+        )
+    tile_means = _luminance(np.moveaxis(tile_sums / tile_area, 1, -1))
     centred = ((tile_means - tile_means.mean(axis=0)) * np.sqrt(tile_area)).reshape(everyone, -1)
 
     pixels = height * width
@@ -534,6 +553,8 @@ def measure(
         regions=compare(by_replicate, term_mean if reference_is_zero else 0.1 * term_mean),
         luminance=compare(_luminance(by_replicate[:, 0]), term_mean),
         tiles=tiles,
+        channel_tiles=channel_tiles,
+        tile_skewness=tile_skewness,
         mean_square={2: mean_square(block_products), 8: mean_square(centred @ centred.T)},
         bias_squared=pixel_gram.squared_distance(),
         variance=pixel_gram.variance(0).value,
@@ -672,6 +693,7 @@ def judge(
     reference: np.ndarray | Sequence[np.ndarray],
     *,
     exact: bool = False,
+    noiseless: bool = False,
     names: Sequence[str] = (),
     reference_names: Sequence[str] = (),
     objects: np.ndarray | None = None,
@@ -684,8 +706,9 @@ def judge(
     images, reference : (K, H, W, 3) and (R, H, W, 3) floating, or sequences of (H, W, 3)
         Independent replicates (own seed each), linear radiance in one unit. With `exact`, `reference` may
         be a single (H, W, 3) image.
-    exact, names, reference_names, objects, object_names
-        As for `measure`.
+    exact, noiseless, names, reference_names, objects, object_names
+        As for `measure`; nothing is known of the seeds here, so replicates that are all the same image are
+        refused unless `noiseless`.
 
     Raises
     ------
@@ -695,9 +718,10 @@ def judge(
     if exact and isinstance(reference, np.ndarray) and reference.ndim == 3:
         reference = reference[None]
     statistics = measure(
-        _replicates("ours", images, names),
-        _replicates("reference", reference, reference_names),
+        images,
+        reference,
         exact=exact,
+        noiseless=noiseless,
         names=names,
         reference_names=reference_names,
         objects=objects,
@@ -927,32 +951,60 @@ def _sentence(verdict: Verdict, statistics: Statistics, kernel: bool) -> str:
     if verdict.verdict == "ABSENT":
         why = f" ({verdict.reasons[0]})" if verdict.reasons else ""
         return f"ABSENT: both sides are exactly 0 everywhere{why}; nothing was tested."
+    biased, equivalent = zip(*WORDS.values(), strict=True)
+    margin = f"the margin of ±{verdict.margin + verdict.allowance:.2%}"
+    if verdict.allowance:
+        margin += f" (an allowance of {verdict.allowance:.2%} in it)"
+    objects = len(statistics.region_names) - 1
+    regions = "image" + (f" and {objects} object{'s' if objects > 1 else ''}" if objects else "")
+    tolerated = f"up to {_limit(statistics, verdict.allowance):.2%} tolerated"
     more = "" if kernel else f", {len(SHAPE_LIMITS)} of shape, 1 of place"
-    tested = f"{statistics.mean_tests} tests of means{more}, each at {LEVEL:.0%}/{verdict.tests}"
-    if verdict.looks > 1:
-        tested += f"/{verdict.looks} ({verdict.looks} looks, this one at K = {statistics.replicates})"
-    excluded = (
-        f"a shape error of up to {verdict.rms_bias_high:.2%} rms over 8-px tiles, "
-        f"a mean bias below {verdict.detectable_bias:.2%} (found in {POWER:.0%} of runs)"
+    looks = "" if verdict.looks == 1 else f"/{verdict.looks} ({verdict.looks} looks)"
+    tested = (
+        f"{statistics.mean_tests} Welch tests of means ({regions}; red, green, blue; {tolerated}){more}, "
+        f"of n = {verdict.tests} in the run, each at {LEVEL:.0%}/{verdict.tests}{looks}"
     )
-    parts = [f"{verdict.verdict}: {tested}; luminance bias {bias} ({_confidence(outside)})"]
-    if verdict.reasons:
-        parts.append("; ".join(verdict.reasons[:3]))
-    if verdict.verdict == "UNDERPOWERED":
-        if verdict.samples_to_margin is not None:
-            took = "" if verdict.seconds_to_margin is None else f", {verdict.seconds_to_margin:.3g} s"
-            parts.append(
-                f"an unbiased row would need {verdict.samples_to_margin} samples on both sides{took}"
-            )
-        elif _samples_ratio(statistics, verdict.margin + verdict.allowance, outside) is None:
-            parts.append(
-                "a bias beyond the margin is likely, which more samples would prove rather than remove"
-            )
-    if verdict.verdict not in (WORDS["right"][0], WORDS["wrong"][0]):
-        parts.append(f"not excluded: {excluded}")
-    if statistics.exact:
-        parts.append("the one reference image was taken as exact")
+    against = (
+        "one image taken as exact"
+        if statistics.exact
+        else f"R = {statistics.reference_replicates} of the reference"
+    )
+    parts = [
+        f"{verdict.verdict}: relative bias of the mean luminance {bias} ({_confidence(outside)}), "
+        f"K = {statistics.replicates} replicates against {against}"
+    ]
+    reasons = "; ".join(verdict.reasons[:3])
+    if len(verdict.reasons) > 3:
+        reasons += f"; and {len(verdict.reasons) - 3} more"
+    if verdict.verdict in biased:
+        parts.append(f"an error is proven by {tested}, whatever {margin}: {reasons}")
+    elif verdict.verdict in equivalent:
+        parts.append(f"the intervals of red, green and blue ({_confidence(outside)}) lie inside {margin}")
+        parts.append(f"no error is proven by {tested}")
+    else:
+        parts.append(f"not shown to lie inside {margin}: {reasons}")
+        parts.append(_needed(verdict, statistics, outside))
+        parts.append(f"no error is proven by {tested}")
+    parts.append(
+        f"smallest detectable bias of the image's mean {verdict.detectable_bias:.2%} (found in {POWER:.0%} of runs)"
+    )
+    if verdict.verdict in biased:
+        parts.append("further errors are not excluded")
+    else:
+        shape = f"a shape error of up to {verdict.rms_bias_high:.2%} rms over 8-px tiles"
+        parts.append(f"not excluded: a smaller one, and {shape}{', which was not judged' if kernel else ''}")
     return "; ".join(parts) + "."
+
+
+def _needed(verdict: Verdict, statistics: Statistics, outside: float) -> str:
+    """What it takes to decide an UNDERPOWERED row."""
+    needed = _samples_ratio(statistics, verdict.margin + verdict.allowance, outside)
+    if needed is None:
+        return "a bias beyond the margin is likely, which more samples would prove rather than remove"
+    if verdict.samples_to_margin is None:
+        return f"an unbiased estimator would need {max(1.0, needed):.2g} times the samples on both sides"
+    took = "" if verdict.seconds_to_margin is None else f", {verdict.seconds_to_margin:.3g} s"
+    return f"an unbiased row would need {verdict.samples_to_margin} samples on both sides{took}"
 
 
 # Reading the images.
@@ -986,13 +1038,15 @@ def _check(
             f"ours: images of shape {ours.shape[1:]}, but the reference's are {reference.shape[1:]}"
         )
     if len(ours) < REPLICATES_NEEDED:
-        raise ValueError(f"ours: {len(ours)} replicates; at least {REPLICATES_NEEDED} are needed")
+        raise ValueError(
+            f"ours: {_counted(len(ours))}; at least {REPLICATES_NEEDED} are needed, each with a seed of its own"
+        )
     if exact and len(reference) != 1:
         raise ValueError(f"reference: {len(reference)} images; an exact reference is one image")
     if not exact and len(reference) < REPLICATES_NEEDED:
         hint = "; one image needs exact (--reference-exact)" if len(reference) == 1 else ""
         raise ValueError(
-            f"reference: {len(reference)} replicates; at least {REPLICATES_NEEDED} are needed{hint}"
+            f"reference: {_counted(len(reference))}; at least {REPLICATES_NEEDED} are needed{hint}"
         )
     if objects is not None and (
         objects.shape != ours.shape[1:3] or not np.issubdtype(objects.dtype, np.integer)
@@ -1002,6 +1056,10 @@ def _check(
         )
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise ValueError(f"scale is {scale}; it must be finite and positive")
+
+
+def _counted(replicates: int) -> str:
+    return f"{replicates} replicate{'' if replicates == 1 else 's'}"
 
 
 def _bands(*groups: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
@@ -1067,6 +1125,15 @@ def _borrowed(mean: np.ndarray, variance: np.ndarray, other: np.ndarray) -> np.n
     return np.where(lost, np.max(variance[varying] / mean[varying] ** 2) * other**2, variance)
 
 
+def _median_skewness(values: np.ndarray) -> float:
+    """Of replicate means (n, ...) over the places that vary; 0 where none does, or too few replicates tell."""
+    shifted = (values - values[0]).reshape(len(values), -1)
+    varying = shifted[:, shifted.any(axis=0)]
+    if len(values) < 3 or not varying.size:
+        return 0.0
+    return float(np.median(stats.skew(varying, axis=0, bias=False)))
+
+
 def _first(mask: np.ndarray) -> list[tuple[int, ...]]:
     """Indices of the first values marked."""
     at = np.unravel_index(np.flatnonzero(mask)[:LISTED_PIXELS], mask.shape)
@@ -1094,16 +1161,26 @@ class _Equality:
         self.differing += np.count_nonzero((bits[1:] != bits[:-1]).any(axis=-1), axis=(1, 2))
         self.zero &= ~band.any(axis=(1, 2, 3))
 
-    def warnings(self, labels: Sequence[str], count: int) -> list[str]:
-        """What is odd but allowed; ValueError for equal seeds. The first `count` images are ours."""
+    def warnings(self, labels: Sequence[str], count: int, noiseless: bool) -> list[str]:
+        """What is odd but allowed; ValueError for equal seeds. The first `count` images are ours.
+
+        Without `noiseless`, a side that never varies has equal seeds, too.
+        """
         digests = [digest.digest() for digest in self.digests]
         sides = {"ours": range(count), "the reference": range(count, len(digests))}
         constant = {side: len({digests[k] for k in members}) == 1 for side, members in sides.items()}
-        warnings = [
-            f"all replicates of {side} are the same image: taken as free of noise"
+        same = [
+            side
             for side, members in sides.items()
             if constant[side] and len(members) > 1 and not self.zero[members[0]]
         ]
+        if same and not noiseless:
+            hints = {
+                "ours": "a renderer without noise needs noiseless (--noiseless)",
+                "the reference": "one without noise is one image and exact (--reference-exact)",
+            }
+            raise ValueError(f"all replicates of {same[0]} are the same image: equal seeds? {hints[same[0]]}")
+        warnings = [f"all replicates of {side} are the same image: taken as free of noise" for side in same]
         first: dict[bytes, int] = {}
         typical = np.delete(self.differing, count - 1).max()
         for k, digest in enumerate(digests):

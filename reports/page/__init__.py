@@ -7,6 +7,7 @@ are PNG files beside them, formulas MathML, and only the charts need a script (p
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -18,7 +19,7 @@ import xarray
 from markupsafe import Markup, escape
 
 from renderer.terms import VARIANTS
-from reports import verdict
+from reports import tiles, verdict
 from reports.page import charts, digits, method, pictures
 from scenes.store import write_atomically
 from scenes.terms import TERMS, TOTAL
@@ -44,7 +45,7 @@ _FIELDS = (
     "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall "
     "reference_audit group at gain base setting"
 ).split()
-_LISTS = "channels", "objects", "warnings", "reasons"
+_LISTS = "channels", "objects", "warnings", "reasons", "tiles"
 
 
 def write(run: Path) -> Path:
@@ -244,6 +245,9 @@ class _Scene:
                         "error": picture(
                             f"{term} {variant} error {against}", pictures.diverge(error, scale=scale)
                         ),
+                        "maps": p_maps(dataset.isel(cell=cell), f"{term} {variant}", picture)
+                        if against == "own"
+                        else {},
                         "limit": name,
                         "scale": scale,
                         "mean": mean,
@@ -251,6 +255,25 @@ class _Scene:
                         "width": ours.shape[1],
                     }
         return drawn
+
+
+def p_maps(
+    dataset: xarray.Dataset, name: str, picture: Callable[[str, np.ndarray], str]
+) -> dict[int, dict[str, Any]]:
+    """Addresses and sizes of the maps of one cell's tiles by their side, drawn by `picture`; none for merged sizes."""
+    drawn = {}
+    for side in verdict.TILE_SIDES:
+        maps = {
+            each: dataset[f"tile_{each}_{side}"].values
+            for each in tiles.MAPS
+            if f"tile_{each}_{side}" in dataset
+        }
+        if maps and np.isfinite(maps["p"]).any():
+            size = dataset.sizes["y"], dataset.sizes["x"]
+            pixels = pictures.p_map(**maps, side=side, size=size)
+            address = picture(f"{name} p-map {side}", pixels)
+            drawn[side] = {"address": address, "height": pixels.shape[0], "width": pixels.shape[1]}
+    return drawn
 
 
 def _by_setting(scenes: list[_Scene]) -> dict[str, list[_Scene]]:
@@ -395,6 +418,8 @@ def page_environment() -> jinja2.Environment:
     environment.filters["assignments"] = _assignments
     environment.globals["variant"] = method.find
     environment.globals["bar"] = _bar()
+    environment.globals["p_histograms"] = charts.p_histograms
+    environment.globals["tile_rule"] = tiles
     return environment
 
 

@@ -172,6 +172,60 @@ def waterfall(split: dict[str, list[float]]) -> dict[str, Any]:
     return figure.to_plotly_json()
 
 
+def p_histograms(tiles: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Counts of p by size of the tiles, dashed what they are under the null; None where no tile varies.
+
+    Parameters
+    ----------
+    tiles : of each size, as `reports.tiles.summary` gives it.
+    """
+    shown = [size for size in tiles if sum(size["histogram"])]
+    if not shown:
+        return None
+    figure = make_subplots(cols=len(shown), horizontal_spacing=0.06)
+    for column, size in enumerate(shown, 1):
+        counts = size["histogram"]
+        expected = sum(counts) / len(counts)
+        middles = (np.arange(len(counts)) + 0.5) / len(counts)
+        figure.add_trace(
+            go.Bar(
+                x=middles.tolist(),
+                y=counts,
+                width=1 / len(counts),
+                marker={"color": COLOURS[0], "line": {"width": 0}},
+                hovertemplate="p about %{x:.3f}: %{y} tiles<extra></extra>",
+                showlegend=False,
+            ),
+            1,
+            column,
+        )
+        figure.add_trace(
+            go.Scatter(
+                x=[0, 1],
+                y=[expected, expected],
+                mode="lines",
+                line={"color": GUIDE, "width": 1.5, "dash": "dash"},
+                hovertemplate=f"under the null {expected:.3g}<extra></extra>",
+                showlegend=False,
+            ),
+            1,
+            column,
+        )
+        figure.update_xaxes(title=f"p, tiles of {size['side']} px", col=column)
+    figure.update_xaxes(range=[0, 1])
+    figure.update_yaxes(rangemode="tozero", nticks=6)
+    figure.update_yaxes(title="tiles", col=1)
+    figure.update_layout(
+        template="none",
+        height=300,
+        bargap=0,
+        margin={"l": 60, "r": 16, "t": 16, "b": 44},
+        paper_bgcolor="rgba(0,0,0,0)",
+        plot_bgcolor="rgba(0,0,0,0)",
+    )
+    return figure.to_plotly_json()
+
+
 def error_against_time(ours: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> dict[str, Any]:
     """RMSE against seconds of rendering: our variants in colours, Mitsuba's settings grey, the fastest of them dark.
 

@@ -6,6 +6,9 @@ Radiance is shown at the scene's fixed exposure, sRGB-encoded. The error is one 
 
 Y the luminance, from blue (too dark) over white to red (too bright) on a scale ±q that all variants of a
 term share; q is a quantile of |e|, so that one firefly does not pale the rest.
+
+A p-map shows one tile in one colour: grey where no bias is found, in the error's colours where Benjamini and Hochberg
+find one, the fuller the surer, and outlined where Holm does.
 """
 
 from pathlib import Path
@@ -15,6 +18,7 @@ from PIL import Image
 from plotly.colors import diverging, unlabel_rgb
 
 from reports.metrics import encode
+from reports.tiles import LEVEL
 from reports.verdict import LUMINANCE
 from scenes.store import write_atomically
 
@@ -22,6 +26,14 @@ QUANTILE = 0.99
 """Share of the pixels whose error lies within the scale."""
 INVALID = np.array([255, 0, 255], np.uint8)
 """Colour of a pixel that is NaN or infinite: found in no exposure of a real scene by chance."""
+MAP_SIZE = 512
+"""Pixels of a p-map's longer side, at least."""
+SURE = 1e-6
+"""Adjusted p that has the full colour."""
+
+_GREYS = 200, 250  # p = 0 and p = 1
+_NOTHING = 110  # where neither side has anything
+_OUTLINE = 3
 
 # ColorBrewer's RdBu, safe for colour-blind eyes; its middle is made white, since 0 is no error.
 _KNOTS = np.array([unlabel_rgb(colour) for colour in reversed(diverging.RdBu)])
@@ -71,6 +83,45 @@ def diverge(error: np.ndarray, *, scale: float) -> np.ndarray:
     share = np.clip(np.where(valid, error, 0.0) / scale, -1.0, 1.0)
     level = np.round((share + 1.0) / 2.0 * (_LEVELS - 1)).astype(int)
     return np.where(valid[..., None], np.round(_DIVERGING[level]).astype(np.uint8), INVALID)
+
+
+def p_map(
+    p: np.ndarray,
+    holm: np.ndarray,
+    benjamini_hochberg: np.ndarray,
+    bias: np.ndarray,
+    *,
+    side: int,
+    size: tuple[int, int],
+) -> np.ndarray:
+    """(zoom H, zoom W, 3) uint8 picture of a map of tiles.
+
+    Parameters
+    ----------
+    p, holm, benjamini_hochberg, bias : (rows, columns) float
+        As in `reports.tiles.TileMap`; only the sign of the bias is shown.
+    side : int
+        Of a tile, in pixels of the image.
+    size : (int, int)
+        H and W of the image; it is shown at a whole multiple of them.
+    """
+    grey = np.where(np.isfinite(p), _GREYS[0] + (_GREYS[1] - _GREYS[0]) * np.nan_to_num(p), _NOTHING)
+    surely = np.log(np.maximum(benjamini_hochberg, SURE) / LEVEL) / np.log(SURE / LEVEL)
+    # From where the colour stands out against grey.
+    colours = diverge(np.sign(bias) * (0.4 + 0.6 * surely), scale=1.0)
+    found = benjamini_hochberg <= LEVEL
+    tiles = np.where(found[..., None], colours, np.round(grey)[..., None].astype(np.uint8))
+
+    zoom = max(1, -(-MAP_SIZE // max(size)))
+    height, width = (zoom * length for length in size)
+    picture = tiles.repeat(zoom * side, axis=0).repeat(zoom * side, axis=1)[:height, :width]
+    line = min(_OUTLINE, max(1, zoom * side // 6))
+    for row, column in np.argwhere(holm <= LEVEL):
+        top, left = zoom * side * row, zoom * side * column
+        tile = picture[top : top + zoom * side, left : left + zoom * side]
+        tile[:line] = tile[-line:] = 0
+        tile[:, :line] = tile[:, -line:] = 0
+    return picture
 
 
 def write_png(path: Path, radiance: np.ndarray, *, exposure: float) -> None:

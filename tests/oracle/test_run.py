@@ -250,6 +250,30 @@ def test_bias_is_that_of_the_images(first: Finished, results: dict[str, Any]):
                 assert row["bias"] == pytest.approx(ours / reference - 1, abs=1e-5)
 
 
+def test_judged_rows_have_tiles_and_their_maps(first: Finished, results: dict[str, Any]):
+    """12 x 9 px: 2 x 2 tiles of 8 px, one of 16 and of 32; the summary counts what the maps in `results.nc` hold."""
+    judged = {
+        (row["term"], row["variant"]): row["tiles"]
+        for row in results["cells"]
+        if row["verdict"] not in (None, "ABSENT")
+    }
+    assert all(not row["tiles"] for row in results["cells"] if row["verdict"] in (None, "ABSENT"))
+    with xarray.open_dataset(first.folder / "results.nc", group="scene", engine="h5netcdf") as group:
+        for index in range(group.sizes["cell"]):
+            sizes = judged.get((str(group.cell_term[index].item()), str(group.cell_variant[index].item())))
+            for side, shape in ((8, (2, 2)), (16, (1, 1)), (32, (1, 1))):
+                p, holm = (group[f"tile_{name}_{side}"][index].values for name in ("p", "holm"))
+                assert p.shape == shape
+                if sizes is None:
+                    assert np.isnan(p).all()
+                    continue
+                (size,) = (each for each in sizes if each["side"] == side)
+                assert size["tiles"] == p.size
+                assert size["tested"] == np.isfinite(p).sum()
+                assert size["holm"] == np.sum(holm <= 0.05)
+                assert np.all((holm >= p) | np.isnan(p))
+
+
 def test_dataset(first: Finished):
     with xarray.open_dataset(first.folder / "results.nc", group="scene", engine="h5netcdf") as group:
         assert dict(group.sizes) | {"cell": 0, "limit": 0} == {

@@ -123,9 +123,9 @@ SMALL = "--samples", 1, "--resolution", 4, 4
         (["compare", "monkey", "--budget=-5"], ["--budget", "'-5'", "90, 90s, 2m or 1h"]),
         (["compare", "monkey", "--study", "quick", "--out", "file"], ["file/compare", "Not a directory"]),
         (["judge"], ["--reference"]),
-        (["judge", "--reference", "scene.toml"], ["images: none given", "OpenEXR files"]),
+        (["judge", "--reference", "scene.toml"], ["images: none given", "OpenEXR files", "folders"]),
         (["judge", "missing.exr", "--reference", "missing.exr"], ["missing.exr", "no such file"]),
-        (["judge", ".", "--reference", "."], [".", "is a folder"]),
+        (["judge", ".", "--reference", "."], [".", "holds no .exr file", "folders"]),
         (["judge", "scene.toml", "--reference", "scene.toml"], ["scene.toml", "not an OpenEXR"]),
     ],
     ids=lambda value: " ".join(map(str, value)) if value and isinstance(value[0], str) else None,
@@ -281,6 +281,56 @@ def test_judge_says_equivalent(run: Command, replicates: Callable[..., list[str]
     assert shown.status == 0
 
 
+def test_judge_takes_folders_and_writes_a_page(run: Command, replicates: Callable[..., list[str]]):
+    for folder, seed, gain in (("mine", 1, 1.0), ("ref", 2, 1.0), ("dim", 3, 0.9)):
+        Path(folder).mkdir()
+        for name in replicates("x", seed=seed, gain=gain):
+            Path(name).rename(f"{folder}/{name}")
+    shown = run("judge", "mine", "--reference", "ref")
+    assert shown.status == 0
+    assert "tiles of 8 px: 0 of 16 found by Holm" in shown.output
+    assert shown.output.splitlines()[-1] == f"Report: {Path('out/judge/index.html').resolve()}"
+    outcome = run("judge", "dim", "--reference", "ref", "--exposure", 2, "--out", "there", "--json")
+    assert outcome.status == 1
+    verdict = json.loads(outcome.output)
+    results = json.loads(Path("there/judge/results.json").read_text())
+    assert results["verdict"] | {"page": "there/judge/index.html"} == verdict
+    assert results["settings"]["exposure"] == 2
+    assert [size["side"] for size in verdict["tiles"]] == [8, 16, 32]
+    assert verdict["tiles"][0]["holm"] == 16
+    text = Path(verdict["page"]).read_text("utf-8")
+    assert "Relative bias of the mean luminance" in text
+    assert "p-map" in text
+    for name in ("ours", "reference", "error", "tiles-p-map-8", "tiles-p-map-16", "tiles-p-map-32"):
+        assert f"pictures/{name}.png" in text
+        assert Path(f"there/judge/pictures/{name}.png").is_file()
+    images = read_exr(Path("there/judge/images.exr"))
+    np.testing.assert_allclose(images["error"], images["ours"] - images["reference"], atol=1e-6)
+    mean = np.mean([next(iter(read_exr(path).values())) for path in sorted(Path("dim").iterdir())], axis=0)
+    np.testing.assert_allclose(images["ours"], mean, rtol=1e-5)
+    refused(run("judge", "mine", "--reference", "ref", "--exposure", 0), "exposure = 0", "(0, inf)")
+
+
+def test_judge_of_a_renderer_without_noise(run: Command, replicates: Callable[..., list[str]]):
+    (image,), reference = replicates("ours", seed=1, count=1, noise=1e-6), replicates("ref", seed=2)
+    copies = [image] * 4
+    refused(
+        run("judge", *copies, "--reference", *reference), "ours", "same image", "equal seeds", "--noiseless"
+    )
+    outcome = run("judge", *copies, "--reference", *reference, "--noiseless", "--json")
+    assert outcome.status == 0
+    assert any("free of noise" in line for line in outcome.messages)
+
+
+def test_judge_of_nothing_is_absent(run: Command, replicates: Callable[..., list[str]]):
+    black = replicates("black", seed=1, count=4, gain=0.0, size=9)
+    outcome = run(
+        "judge", *black, "--reference", *replicates("none", seed=2, count=4, gain=0.0, size=9), "--json"
+    )
+    assert (outcome.status, json.loads(outcome.output)["verdict"]) == (0, "ABSENT")
+    assert "p-map" not in Path("out/judge/index.html").read_text("utf-8")
+
+
 def test_judge_says_biased(run: Command, replicates: Callable[..., list[str]]):
     ours, reference = replicates("ours", seed=1, gain=1.03), replicates("ref", seed=2)
     outcome = run("judge", *ours, "--reference", *reference, "--json")
@@ -307,7 +357,7 @@ def test_judge_with_an_exact_reference(run: Command, replicates: Callable[..., l
     verdict = json.loads(outcome.output)
     assert (outcome.status, verdict["verdict"]) == (0, "EQUIVALENT")
     assert "taken as exact" in verdict["sentence"]
-    refused(run("judge", *ours, "--reference", *exact), "reference: 1 replicates", "--reference-exact")
+    refused(run("judge", *ours, "--reference", *exact), "reference: 1 replicate", "--reference-exact")
     two = replicates("two", seed=3, count=2)
     refused(run("judge", *ours, "--reference", *two, "--reference-exact"), "reference: 2 images", "one image")
 
@@ -319,6 +369,7 @@ def test_judge_refuses(run: Command, replicates: Callable[..., list[str]]):
     )
     wide = replicates("wide", seed=3, count=4, size=16)
     refused(run("judge", *ours[:3], "--reference", *reference), "ours: 3 replicates", "at least 4")
+    refused(run("judge", ours[0], "--reference", *reference), "ours: 1 replicate", "seed of its own")
     refused(run("judge", *ours, "--reference", *reference[:3]), "reference: 3 replicates", "at least 4")
     refused(run("judge", *ours, "--reference", *wide), "(12, 12, 3)", "(16, 16, 3)")
     refused(run("judge", *ours[:3], wide[0], "--reference", *reference), wide[0], "(16, 16, 3)", ours[0])

@@ -27,6 +27,20 @@ def region(name, rng):
     }  # fmt: skip
 
 
+def size_of(side, tiles, merged_into=None):
+    """Of one size of tiles, 2 of them found by Holm, 3 by Benjamini-Hochberg; nothing where they are merged."""
+    return {
+        "side": side, "tiles": tiles, "tested": 0 if merged_into else tiles, "holm": 0 if merged_into else 2,
+        "benjamini_hochberg": 0 if merged_into else 3, "fraction": 0 if merged_into else 3 / tiles,
+        "found": [] if merged_into else [
+            {"x": 16, "y": 32, "width": side, "height": 5, "bias": -0.031, "p": 1e-9, "channels": ["red", "blue"]}
+        ],
+        "histogram": [0] * 20 if merged_into else [tiles - 19] + [1] * 19, "left_out": 1,
+        "uniform_p": None if merged_into else 0.37, "skewness": 1.3 if merged_into else 0.2,
+        "merged_into": merged_into,
+    }  # fmt: skip
+
+
 def rows_of(scene, term, variant, kind, verdict, rng):
     """Rows of a cell as a run writes them: prefixes without bias, one judged row, two comparisons."""
     common = {"scene": scene, "term": term, "variant": variant, "kind": kind, "scope": "all"}
@@ -52,6 +66,7 @@ def rows_of(scene, term, variant, kind, verdict, rng):
         "cause": "a = 1.02 [0.90, 1.10]: as independent samples without bias", "verdict": verdict,
         "sentence": f"{verdict}: 12 tests of means, 2 of shape, 1 of place, each at 5%/500; luminance bias.",
         "warnings": ["3 replicates of ours: fewer than 16"] if verdict == "UNDERPOWERED" else [],
+        "tiles": [size_of(8, 36, 16), size_of(16, 9), size_of(32, 4)] if verdict == "BIASED" else [],
     }  # fmt: skip
     if verdict == "UNDERPOWERED":
         judged |= {"samples_to_margin": 4096, "seconds_to_margin": 656.0}
@@ -160,8 +175,19 @@ def synthesise(folder: Path) -> None:
         image = reference[:-1] + 0.02 * rng.standard_normal(reference[:-1].shape)
         image[0, 3, 4] = np.nan
         dims = "y", "x", "channel"
+        maps = {
+            f"tile_{name}_{side}": (
+                ("cell", f"tile_y_{side}", f"tile_x_{side}"),
+                rng.random((len(keys), -(-SIZE // side), -(-SIZE // side)))
+                if side > 8
+                else np.full((len(keys), 6, 6), np.nan),
+            )
+            for name in ("p", "holm", "benjamini_hochberg", "bias")
+            for side in (8, 16, 32)
+        }
         xarray.Dataset(
             {
+                **maps,
                 "image": (("cell", *dims), image.astype(np.float32)),
                 "image_variance": (("cell", *dims), np.zeros_like(image, np.float32)),
                 "reference": (("limit", *dims), reference.astype(np.float32)),
@@ -331,6 +357,51 @@ def test_scene_page_shows_sentences_settings_and_skips(run):
         assert words.replace(" ", "") in flat
     assert "steel <cube>" in text
     assert "0.5, 0.5, 0.8" in text
+
+
+def test_scene_page_shows_maps_and_histograms_of_tiles(run):
+    reader = read(run / "scenes" / "cornell_box.html")
+    text = reader.text.replace(digits.THIN, " ")
+    assert "8 px: median skewness 1.30, above 1: merged into the tiles of 16 px" in " ".join(text.split())
+    assert "16 px: a bias in 3 of 9 tiles" in " ".join(text.split())
+    assert "x 16–31, y 32–36" in text
+    shown = [image for image in reader.images if "p-map" in image["src"]]
+    assert {image["src"].split("-")[-1] for image in shown} == {"16.png", "32.png"}
+    assert all("coloured by Benjamini-Hochberg, 2 outlined by Holm" in image["alt"] for image in shown)
+
+
+def test_p_map_colours_what_is_found_and_outlines_what_is_sure():
+    """Tiles of 4 px on 10 x 12: grey by p, dark where nothing is, blue low, red high, the second also by Holm."""
+    p = np.array([[0.1, 1.0, np.nan], [1e-3, 1e-9, 0.5], [0.5, 0.5, 0.5]])
+    holm = np.where(p < 1e-6, 1e-8, np.where(np.isnan(p), np.nan, 1.0))
+    found = np.where(p < 1e-6, 1e-8, np.where(p == 1e-3, 0.01, np.where(np.isnan(p), np.nan, 1.0)))
+    bias = np.where(p == 1e-3, -0.1, 0.2)
+    picture = pictures.p_map(p, holm, found, bias, side=4, size=(10, 12)).astype(int)
+    zoom = picture.shape[1] // 12
+    assert picture.shape == (10 * zoom, 12 * zoom, 3)
+    assert picture.shape[1] >= pictures.MAP_SIZE
+
+    def at(row, column):
+        return picture[(4 * row + 1) * zoom, (4 * column + 1) * zoom]
+
+    greys = [at(0, 0), at(0, 1), at(0, 2)]
+    assert all(len(set(grey.tolist())) == 1 for grey in greys)
+    assert greys[1][0] > greys[0][0] > greys[2][0]
+    assert at(1, 0)[2] > at(1, 0)[0]
+    assert at(1, 1)[0] > at(1, 1)[2]
+    assert np.ptp(at(1, 1)) > np.ptp(at(1, 0)), "the surer, the fuller"
+    black = (picture == 0).all(axis=-1)
+    assert black[4 * zoom, 4 * zoom : 8 * zoom].all()
+    assert black[:, : 4 * zoom].sum() == 0
+
+
+def test_p_histogram_has_a_panel_for_each_size_that_is_tested():
+    figure = charts.p_histograms([size_of(8, 36, 16), size_of(16, 30), size_of(32, 24)])
+    assert figure is not None
+    bars, expected = figure["data"][::2], figure["data"][1::2]
+    assert [sum(each["y"]) for each in bars] == [30, 24]
+    assert [each["y"] for each in expected] == [[1.5, 1.5], [1.2, 1.2]]
+    assert charts.p_histograms([size_of(8, 36, 16)]) is None
 
 
 def test_an_earlier_run_leaves_nothing(run, tmp_path):

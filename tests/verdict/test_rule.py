@@ -226,9 +226,10 @@ def test_black_replicates_are_no_equal_seeds(rng):
 def test_noise_free_rows_are_judged_by_the_floors():
     """Equal replicates of a constant: an error of 1e-7 is rounding, 1 % is not, and no number is NaN."""
     constant = np.full((4, 16, 16, 3), 0.5)
-    assert judge(constant, constant).verdict == "EQUIVALENT"
-    assert judge(constant * (1 + 1e-7), constant[:1], exact=True).verdict == "EQUIVALENT"
-    verdict = judge(constant * 1.01, constant)
+    assert judge(constant, constant, noiseless=True).verdict == "EQUIVALENT"
+    near = judge(constant * (1 + 1e-7), constant[:1], exact=True, noiseless=True)
+    assert near.verdict == "EQUIVALENT"
+    verdict = judge(constant * 1.01, constant, noiseless=True)
     assert verdict.verdict == "BIASED"
     assert any("taken as free of noise" in warning for warning in verdict.warnings)
     assert "NaN" not in json.dumps(verdict.row())
@@ -279,6 +280,19 @@ def test_equal_replicates_are_refused(pair):
         measure(ours, ours[7:8], exact=True)
 
 
+def test_a_side_that_never_varies_has_equal_seeds_unless_it_has_no_noise(pair):
+    """16 copies of one image would halve the noise that the judge sees, and a pass would mean nothing."""
+    ours, reference = pair
+    copies = np.repeat(ours[:1], 16, axis=0)
+    with pytest.raises(ValueError, match=r"all replicates of ours .* equal seeds\? .*--noiseless"):
+        judge(copies, reference)
+    with pytest.raises(
+        ValueError, match=r"all replicates of the reference .* equal seeds\? .*--reference-exact"
+    ):
+        judge(ours, np.repeat(reference[:1], 16, axis=0))
+    assert "ours are the same image" in judge(copies, reference, noiseless=True).warnings[0]
+
+
 def test_equal_replicates_by_chance_are_a_warning(rng):
     """Two pixels that flip between two values: of 16 images many must be equal, and no seed is."""
     ours, reference = np.ones((2, 16, 12, 12, 3))
@@ -291,8 +305,9 @@ def test_few_replicates(pair):
     ours, reference = pair
     for arguments, message in (
         ((ours[:3], reference), "ours: 3 replicates; at least 4"),
+        ((ours[:1], reference), "ours: 1 replicate; at least 4 are needed, each with a seed of its own"),
         ((ours, reference[:3]), "reference: 3 replicates"),
-        ((ours, reference[:1]), "reference: 1 replicates; .* exact"),
+        ((ours, reference[:1]), "reference: 1 replicate; .* exact"),
     ):
         with pytest.raises(ValueError, match=message):
             measure(*arguments)
@@ -330,7 +345,7 @@ def test_bad_input_is_named(change, message):
 
 def test_judge_takes_lists_of_images_and_names_the_one_that_differs():
     images = [np.full((8, 8, 3), 0.5, dtype=np.float32) for _ in range(4)]
-    assert judge(images, images[0], exact=True).verdict == "EQUIVALENT"
+    assert judge(images, images[0], exact=True, noiseless=True).verdict == "EQUIVALENT"
     with pytest.raises(ValueError, match=r"c.exr: shape \(9, 8, 3\) differs from \(8, 8, 3\) of a.exr"):
         judge([*images[:2], np.ones((9, 8, 3)), images[3]], images, names=["a.exr", "b.exr", "c.exr"])
     with pytest.raises(ValueError, match="ours: shape"):
@@ -370,6 +385,38 @@ def test_a_smaller_level_means_a_wider_interval_and_a_larger_detectable_bias(pai
     assert ends == sorted(ends)
     assert many["detectable_bias"] > few["detectable_bias"] > 0.001
     assert "5%/6000" in many["sentence"]
+
+
+@pytest.mark.parametrize("noise", [0.01, 3.0], ids=["quiet", "noisy"])
+@pytest.mark.parametrize("gain", [1.0, 1.1])
+@pytest.mark.parametrize("options", [{}, {"kernel": True, "allowance": 0.01}, {"kind": "wrong"}], ids=str)
+def test_the_sentence_says_all_that_a_paper_needs(rng, replicates, picture, noise, gain, options):
+    """Word, interval and its level, K and R, what was tested, n and level, margin, detectable bias, what stays open."""
+    mean = picture(32, 32)
+    ours, reference = replicates(rng, gain * mean, 12, noise), replicates(rng, mean, 16, noise)
+    statistics = measure(ours, reference, objects=np.zeros((32, 32), dtype=int))
+    verdict = decide(statistics, tests=600, **options)
+    kernel, allowance = options.get("kernel", False), options.get("allowance", 0.0)
+    for words in (
+        f"{verdict.verdict}: relative bias of the mean luminance {verdict.bias:+.2%} [{verdict.bias_low:+.2%}, "
+        f"{verdict.bias_high:+.2%}] (90 %)",
+        "K = 12 replicates against R = 16",
+        f"6 Welch tests of means (image and 1 object; red, green, blue; up to {0.001 + allowance:.2%} tolerated)",
+        "of n = 600 in the run, each at 5%/600",
+        f"the margin of ±{0.01 + allowance:.2%}",
+        f"smallest detectable bias of the image's mean {verdict.detectable_bias:.2%} (found in 80% of runs)",
+    ):
+        assert words in verdict.sentence
+    assert ("of shape" in verdict.sentence) is not kernel
+    if verdict.verdict in ("BIASED", "NOT AS PREDICTED"):
+        assert verdict.reasons[0] in verdict.sentence
+        assert verdict.sentence.endswith("further errors are not excluded.")
+    else:
+        left = f"not excluded: a smaller one, and a shape error of up to {verdict.rms_bias_high:.2%} rms"
+        assert left in verdict.sentence
+        assert ("which was not judged" in verdict.sentence) is kernel
+    if verdict.verdict == "UNDERPOWERED":
+        assert "times the samples on both sides" in verdict.sentence or "likely" in verdict.sentence
 
 
 def test_the_row_is_plain_json(pair):
