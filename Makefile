@@ -29,10 +29,11 @@ compare: .venv/.installed ## Render, compare and report: SCENES="monkey two_cube
 variants: .venv/.installed ## Every estimator of the paper against what it converges to: PRESET=quick SCENES=monkey OUT=out
 	@.venv/bin/termwise compare $(SCENES) --study variants$(patsubst %,-%,$(filter-out standard,$(PRESET))) --out $(OUT)
 
-bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error, scaling; OUT=out
+bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error, scaling, economies; OUT=out
 	@.venv/bin/termwise bench rays --out $(OUT)
 	@.venv/bin/termwise bench terms --out $(OUT)
 	@.venv/bin/termwise bench scaling --out $(OUT)
+	@.venv/bin/termwise bench economies --out $(OUT)
 
 test: .venv/.installed ## Run the tests, then the unit tests again as plain Python
 	.venv/bin/python -m pytest -q -n $(JOBS)

@@ -70,14 +70,25 @@ def replicate(scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int
 
 
 def replicate_parts(
-    scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int = 0
+    scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int = 0, by_second: bool = False
 ) -> dict[Term, np.ndarray]:
-    """All images that one render of a `shared` limit gives, factor 1: three for physical transport, else one."""
+    """All images that one render of a `shared` limit gives, factor 1: three for physical transport, else one.
+
+    `by_second`: by another integrator that means the same, with random numbers of its own; see `has_second`.
+    """
     if spp < 1:
         raise ValueError(f"spp = {spp}: allowed is at least 1")
     here = loaded(scene)
-    images = here.render(attrs.asdict(limit), spp=spp, seed=rng_seed(limit, seed, replicate))
+    number = rng_seed(limit, seed, replicate, by_second=by_second)
+    images = here.render(attrs.asdict(limit), spp=spp, seed=number, by_second=by_second)
     return dict(zip(parts(limit), images.astype(np.float32), strict=True))
+
+
+def has_second(scene: Scene, limit: Limit) -> bool:
+    """Whether a limit has a second integrator, see `reference.second`: all that is plain light transport."""
+    plain = Limit(limit.term, scope=limit.scope, factor=limit.factor, lobe=limit.lobe, ambient=limit.ambient)
+    by_mitsuba = scene.ignore == "face" and scene.normals == "viewer"
+    return limit == plain and limit.term != "background" and by_mitsuba
 
 
 def scaled(image: np.ndarray, limit: Limit) -> np.ndarray:
@@ -85,12 +96,12 @@ def scaled(image: np.ndarray, limit: Limit) -> np.ndarray:
     return image if limit.factor == 1.0 else image * np.float32(limit.factor)
 
 
-def compile_kernels(scene: Scene, limit: Limit) -> None:
+def compile_kernels(scene: Scene, limit: Limit, *, by_second: bool = False) -> None:
     """Render a throw-away sample, so that compilation is not counted as rendering."""
-    served = shared(scene, limit)
+    served = shared(scene, limit), by_second
     compiled = loaded(scene).compiled
     if served not in compiled:
-        replicate_parts(scene, served, spp=1, seed=0)
+        replicate_parts(scene, served[0], spp=1, seed=0, by_second=by_second)
         compiled.add(served)
 
 
@@ -114,9 +125,10 @@ def shared(scene: Scene, limit: Limit) -> Limit:
     return attrs.evolve(limit, scope=scope, factor=1.0)
 
 
-def rng_seed(limit: Limit, seed: int, replicate: int) -> int:
+def rng_seed(limit: Limit, seed: int, replicate: int, *, by_second: bool = False) -> int:
     """32-bit seed of a replicate's first pass; the passes of one seed's replicates never coincide."""
-    digest = hashlib.sha256(repr((seed, attrs.astuple(limit))).encode()).digest()
+    name = (seed, attrs.astuple(limit), *(["second"] if by_second else []))
+    digest = hashlib.sha256(repr(name).encode()).digest()
     return (int.from_bytes(digest[:4], "little") + replicate * PASSES) % 2**32
 
 

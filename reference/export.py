@@ -29,6 +29,7 @@ SOURCES = (
     "bsdf.py",
     "sky.py",
     "physical.py",
+    "second.py",
     "terms",
 )
 

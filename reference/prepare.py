@@ -7,7 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from . import bsdf, film, physical, sky, twin
+from . import bsdf, film, physical, second, sky, twin
 from .terms import ambient, background, direct, specular
 from .wavefront import Estimator, pixel_means
 
@@ -55,8 +55,14 @@ class Loaded:
             return physical.estimator(self, limit)
         return _ESTIMATORS[limit["term"]](self, limit)
 
-    def render(self, limit: dict[str, Any], *, spp: int, seed: int) -> np.ndarray:
-        """Mean images of a limit's parts, (P, H, W, 3) float64; see `wavefront.pixel_means`, with a kernel `twin`."""
+    def render(self, limit: dict[str, Any], *, spp: int, seed: int, by_second: bool = False) -> np.ndarray:
+        """Mean images of a limit's parts, (P, H, W, 3) float64; see `wavefront.pixel_means`, with a kernel `twin`.
+
+        `by_second`: by the second integrator of the limit, see `second`.
+        """
+        if by_second:
+            estimate = second.estimator(self, limit)
+            return pixel_means(estimate, self.description["camera"], spp=spp, seed=seed)
         if limit["kernel"] is not None:
             return twin.render(self, limit, spp=spp, seed=seed)
         if film.serves(self, limit):

@@ -62,6 +62,7 @@ def replicates(
     folder: Path,
     progress: Callable[[], object] | None = None,
     budget_s: float = 60.0,
+    by_second: bool = False,
 ) -> Replicates:
     """Take `count` replicates from `folder`; render and keep those that it lacks.
 
@@ -75,11 +76,12 @@ def replicates(
     progress : called after each replicate.
     budget_s : seconds that the replicates of one render may take on `scalar_rgb`; estimated from one replicate of
         one sample a pixel, which is kept, so that a second run makes the same choice.
+    by_second : by the limit's second integrator, see `reference.has_second`.
     """
     asked = spp, count
     shortfall = None
     if _variant() == "scalar_rgb":
-        pilot = _take(scene, limit, 1, seed, 1, folder, None)
+        pilot = _take(scene, limit, 1, seed, 1, folder, None, by_second)
         terms = reference.parts(reference.shared(scene, limit))
         spp, count = affordable(spp, count, pilot.seconds[0] * len(terms), budget_s)
         if (spp, count) != asked:
@@ -87,7 +89,7 @@ def replicates(
                 f"scalar_rgb renders {count} of {asked[1]} replicates at {spp} of {asked[0]} samples a pixel "
                 f"in {budget_s:g} s; no faster backend: {backend.choose().reason}"
             )
-    return _take(scene, limit, spp, seed, count, folder, progress)._replace(shortfall=shortfall)
+    return _take(scene, limit, spp, seed, count, folder, progress, by_second)._replace(shortfall=shortfall)
 
 
 def affordable(spp: int, count: int, seconds_per_sample: float, budget_s: float) -> tuple[int, int]:
@@ -110,10 +112,11 @@ def _take(
     count: int,
     folder: Path,
     progress: Callable[[], object] | None,
+    by_second: bool,
 ) -> Replicates:
     served = reference.shared(scene, limit)
     keys: dict[Term, str] = {
-        term: key(scene, attrs.evolve(served, term=term), spp=spp, seed=seed)
+        term: key(scene, attrs.evolve(served, term=term), spp=spp, seed=seed, by_second=by_second)
         for term in reference.parts(served)
     }
     images, seconds = [], []
@@ -122,7 +125,7 @@ def _take(
         kept = _read(path, scene.resolution)
         if kept is None:
             paths: dict[Term, Path] = {term: _path(folder, name, number) for term, name in keys.items()}
-            _render(scene, served, spp, seed, number, paths)
+            _render(scene, served, spp, seed, number, paths, by_second)
             kept = _read(path, scene.resolution)
             assert kept is not None, path
         images.append(reference.scaled(kept[0], limit))
@@ -132,7 +135,7 @@ def _take(
     return Replicates(np.array(images), np.array(seconds), spp)
 
 
-def key(scene: Scene, limit: Limit, *, spp: int, seed: int) -> str:
+def key(scene: Scene, limit: Limit, *, spp: int, seed: int, by_second: bool = False) -> str:
     """sha256 of all that decides a replicate's bits but its number."""
     if limit.transport == "physical":
         irrelevant = ("ambient", "max_bounces", "draw_lights")
@@ -143,7 +146,7 @@ def key(scene: Scene, limit: Limit, *, spp: int, seed: int) -> str:
     versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit")]
     sources = sources_digest(PROJECT / "reference", PROJECT / "scenes")
     content = scene.digest(without=_ALWAYS_IRRELEVANT + irrelevant)
-    settings = repr((content, attrs.astuple(limit), spp, seed, _variant(), versions, sources))
+    settings = repr((content, attrs.astuple(limit), spp, seed, by_second, _variant(), versions, sources))
     return hashlib.sha256(settings.encode()).hexdigest()
 
 
@@ -152,10 +155,20 @@ def _variant() -> str:
     return (backend.active() if "mitsuba" in sys.modules else backend.choose()).variant
 
 
-def _render(scene: Scene, limit: Limit, spp: int, seed: int, number: int, paths: dict[Term, Path]) -> None:
-    reference.compile_kernels(scene, limit)
+def _render(
+    scene: Scene,
+    limit: Limit,
+    spp: int,
+    seed: int,
+    number: int,
+    paths: dict[Term, Path],
+    by_second: bool,
+) -> None:
+    reference.compile_kernels(scene, limit, by_second=by_second)
     begin = time.perf_counter()
-    images = reference.replicate_parts(scene, limit, spp=spp, seed=seed, replicate=number)
+    images = reference.replicate_parts(
+        scene, limit, spp=spp, seed=seed, replicate=number, by_second=by_second
+    )
     seconds = (time.perf_counter() - begin) / len(images)
     for term, path in paths.items():
         buffer = io.BytesIO()

@@ -11,6 +11,7 @@ map that share a low-discrepancy sequence have less of it, a gain that fades as 
 """
 
 import math
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from renderer.scratch import DENSITY_ESTIMATES, Scratch
 from renderer.surface import Surface
 from renderer.vector import Vec3, dot, entry, vec3
 
+_PLACED = 1 << 16  # photons that a thread copies at a time
 # Memory for the maps of a replicate that another term may use: 16 passes of the open Cornell box take 75 MB.
 KEPT_BYTES = 1 << 28
 
@@ -68,6 +70,15 @@ def mean_radius(radius: float, passes: int) -> float:
 
 
 @kernel
+def _bounds(position: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+    """Widen (3,) `low` and `high` to all positions."""
+    for i in range(len(position)):
+        for k in range(3):
+            low[k] = min(low[k], position[i, k])
+            high[k] = max(high[k], position[i, k])
+
+
+@kernel
 def _sort(
     position: np.ndarray,
     low: Vec3,
@@ -95,6 +106,30 @@ def _sort(
         fill[cells[i]] += 1
 
 
+@kernel
+def _place(
+    order: np.ndarray,
+    first: int,
+    last: int,
+    position: np.ndarray,
+    direction: np.ndarray,
+    power: np.ndarray,
+    face: np.ndarray,
+    sorted_position: np.ndarray,
+    sorted_direction: np.ndarray,
+    sorted_power: np.ndarray,
+    sorted_face: np.ndarray,
+) -> None:
+    """Copy the photons `order[first:last]` to where they belong."""
+    for i in range(first, last):
+        j = order[i]
+        for k in range(3):
+            sorted_position[i, k] = position[j, k]
+            sorted_direction[i, k] = direction[j, k]
+            sorted_power[i, k] = power[j, k]
+        sorted_face[i] = face[j]
+
+
 def build(
     position: np.ndarray,
     direction: np.ndarray,
@@ -102,16 +137,17 @@ def build(
     face: np.ndarray,
     radius: float,
     shape: str = "simpson",
+    pool: Executor | None = None,
 ) -> PhotonMap:
     """Sort photons into a dense grid of cells at least 2 r wide: a query meets at most 8 of them.
 
-    `shape` names the kernel, see EXPONENTS.
+    `shape` names the kernel, see EXPONENTS. With `pool` its threads share the copying, most of the work.
     """
-    if len(position):
-        low = position.min(axis=0)
-        extent = position.max(axis=0) - low
-    else:
-        low = extent = np.zeros(3)
+    low, extent = np.zeros((2, 3))
+    if len(position):  # an empty map compiles nothing
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        _bounds(position, low, high)
+        extent = high - low
     # A dense grid needs no hash, so no cell is ever visited twice; at most 8 cells a photon.
     cell = max(2.0 * radius, float(extent.max()) / 1024.0, 1e-300)
     while True:
@@ -122,13 +158,21 @@ def build(
     start = np.zeros(nx * ny * nz + 1, np.int64)
     order = np.empty(len(position), np.int64)
     corner = Vec3(float(low[0]), float(low[1]), float(low[2]))
-    if len(position):  # an empty map compiles nothing
+    photons = position, direction, power, face
+    placed = tuple(np.empty_like(array) for array in photons)
+    if len(position):
         _sort(position, corner, cell, nx, ny, nz, start, order)
+        firsts = range(0, len(order), _PLACED)
+
+        def place(first: int) -> None:
+            _place(order, first, min(first + _PLACED, len(order)), *photons, *placed)
+
+        list(pool.map(place, firsts) if pool else map(place, firsts))
     return PhotonMap(
-        position=position[order],
-        direction=direction[order],
-        power=power[order],
-        face=face[order],
+        position=placed[0],
+        direction=placed[1],
+        power=placed[2],
+        face=placed[3],
         start=start,
         low=corner,
         cell=cell,

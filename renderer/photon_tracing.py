@@ -253,4 +253,5 @@ def emit(
 
     chunks = list(pool.map(chunk, range(0, emitted, _CHUNK)))
     position, direction, power, face = (np.concatenate(parts) for parts in zip(*chunks, strict=True))
-    return build(position, direction, power / emitted, face, radius, shape)
+    power /= emitted
+    return build(position, direction, power, face, radius, shape, pool)

@@ -29,7 +29,7 @@ _PARTS_A_THREAD = 8
 # core stood idle, and 32 x 32 and 8 x 8 pixels took 1.6 to 1.9 times as long on 2.
 _TILES_A_THREAD, _SMALLEST = 4, 4
 # Samples that share a map of a search for the k nearest at the vertices of a chain: its radius does not shrink.
-_CHAINS_A_MAP = 64
+_CHAINS_A_MAP = 128
 
 _PILOT_STREAM = 1 << 41  # beyond the streams of pixels and of photons
 

@@ -103,16 +103,22 @@ def _closed_spheres(study: Study) -> Iterator[Case]:
                     at,
                     attrs.evolve(scene, resolution=(8, 8)),
                     variant,
-                    _samples_of_chain(study.exact.samples, name, bounces),
+                    _samples_of_chain(study.exact.samples, name, gloss, bounces),
                     own[bounces - 1],
                     right[bounces - 1],
                     gain,
                 )
 
 
-def _samples_of_chain(samples: int, variant: str, bounces: int) -> int:
-    """Uniform directions have about four times the variance for each bounce more; visible normals have next to none."""
-    return max(1, samples // 8 if variant == "vndf" else samples * 4**bounces // 64)
+def _samples_of_chain(samples: int, variant: str, gloss: float, bounces: int) -> int:
+    """Uniform directions have about four times the variance for each bounce more; visible normals have next to none.
+
+    The Lambertian half of `paper-code` takes most of its variance away.
+    """
+    if variant == "vndf":
+        return max(1, samples // 8)
+    uniform = 2 ** round(math.log2(gloss * samples * 4**bounces / 64))
+    return max(samples // 8, uniform // 4) if variant == "paper-code" else max(1, uniform)
 
 
 def _discs(study: Study) -> Iterator[Case]:

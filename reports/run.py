@@ -27,7 +27,7 @@ from renderer import photon_map
 from renderer.plan import plan, skipped
 from renderer.terms import Variant, registered
 from renderer.tiles import Engine
-from reports import cells, closed_forms, exact, images, metrics, tiles, verdict
+from reports import cells, closed_forms, exact, images, metrics, references, tiles, verdict
 from reports.cells import Cell
 from reports.convergence import (
     PREFIXES_NEEDED,
@@ -50,9 +50,10 @@ from scenes.terms import TERMS, TOTAL, Term, total
 SCHEMA = 1
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
-_RINGS = 10  # times the samples a pixel of other references
+_RINGS = 8  # times the samples a pixel of other references
 
 Report = Callable[[str, int, int], object]
+Compare = Callable[[np.ndarray, np.ndarray, str], Statistics]
 
 
 @attrs.frozen(eq=False)
@@ -63,6 +64,8 @@ class _Row:
     statistics: Statistics | None
     decide: dict[str, Any]
     judged: bool
+    scene: Scene
+    limits: tuple[Limit, ...]
 
 
 @attrs.frozen(eq=False)
@@ -145,6 +148,7 @@ def measure(
     extrapolations: list[dict[str, Any]] = []
     pictures = images.Pictures(folder)
     known = list(exact.cases(study))
+    audits: list[references.Audit] = []
     steps = study.replicates * len(known) + sum(
         study.replicates * len(_estimates(study, subject))
         + study.reference_replicates * len(_limits(study, subject))
@@ -160,8 +164,8 @@ def measure(
     found: dict[str, References] = {}
     for subject in measured_subjects:
         scene = subject.scene
-        references = _references(study, subject, found.get(subject.unchanged.name), advance)
-        found[scene.name] = references
+        rendered = _references(study, subject, found.get(subject.unchanged.name), advance)
+        found[scene.name] = rendered
         with Engine(scene) as engine:
             objects = engine.geometry().object
             measured = [
@@ -182,20 +186,32 @@ def measure(
                 for variant in subject.variants[term]
             ]
         report(f"{scene.name}: measuring", done, steps)
-        waiting += _rows(study, subject, measured, references, objects)
+        compare = _compare(subject, rendered, objects)
+        waiting += _rows(study, subject, measured, rendered, compare)
+        audits += references.audits(
+            scene,
+            rendered.rendered,
+            # A setting is audited with the scene that it changes.
+            by_second=study.audit and subject.setting is None,
+            seed=study.seed,
+            folder=cache_folder() / "reference",
+            compare=compare,
+            progress=lambda what: report(what, done, steps),
+        )
         pictures.write(
             subject,
             measured,
-            {limit: kept.images for limit, kept in references.rendered.items()},
-            {term: kept.images for term, kept in references.correct.items()},
+            {limit: kept.images for limit, kept in rendered.rendered.items()},
+            {term: kept.images for term, kept in rendered.correct.items()},
             versions(),
         )
         described[scene.name] = _describe(study, subject, measured)
-        extrapolations += _extrapolations(study, subject, measured, references, advance)
+        extrapolations += _extrapolations(study, subject, measured, rendered, advance)
     for case in known:
         waiting += _exact_rows(study, case, lambda case=case: advance(f"{case.name}: {case.variant.name}"))
     tests = sum(_tests(row) for row in waiting if row.judged)
-    rows = [_decided(row, tests) for row in waiting]
+    audited = references.decide(audits)
+    rows = [_decided(row, tests, audited) for row in waiting]
     results = {
         "schema": SCHEMA,
         "versions": versions(),
@@ -223,6 +239,7 @@ def measure(
         },
         "cells": rows,
         "extrapolations": extrapolations,
+        "audits": audited,
     }
     for scene_name in described:
         found_maps = {
@@ -305,26 +322,32 @@ def _identity(subject: Subject, term: str, variant: str, kind: str, against: str
     }
 
 
-def _rows(
-    study: Study, subject: Subject, measured: list[Cell], references: References, objects: np.ndarray
-) -> list[_Row]:
+def _compare(subject: Subject, rendered: References, objects: np.ndarray) -> Compare:
+    """(ours, reference, what) -> statistics of the whole and of each object of a scene."""
     scene = subject.scene
     names = [thing.name for thing in scene.objects]
-    fallback = sum(_luminance(kept.images) for kept in references.correct.values()) or 1.0
-    rows: list[_Row] = []
+    fallback = sum(_luminance(kept.images) for kept in rendered.correct.values()) or 1.0
 
-    def statistics(ours: np.ndarray, reference: np.ndarray, what: str = TOTAL) -> Statistics:
+    def statistics(ours: np.ndarray, reference: np.ndarray, what: str) -> Statistics:
         try:
             return verdict.measure(ours, reference, objects=objects, object_names=names, scale=fallback)
         except ValueError as error:
             raise ValueError(f"{scene.name}: {what}: {error}") from None
 
+    return statistics
+
+
+def _rows(
+    study: Study, subject: Subject, measured: list[Cell], rendered: References, compare: Compare
+) -> list[_Row]:
+    scene = subject.scene
+    rows: list[_Row] = []
     for cell in measured:
         variant = cell.variant
         term = variant.term
-        own, correct = references.rendered[cell.own], references.correct[term]
+        own, correct = rendered.rendered[cell.own], rendered.correct[term]
         what = f"{term} {variant.name}"
-        at_own = statistics(cell.images[:, -1], own.images, what)
+        at_own = compare(cell.images[:, -1], own.images, what)
         # Against its twin a kernel estimate is judged like any other.
         kernel = variant.kernel_based(scene) and cell.own.kernel is None
         judged = variant.judged or cell.own.kernel is not None
@@ -349,6 +372,7 @@ def _rows(
                     compile_seconds=cell.compile_seconds if last else None,
                     error=errors[p],
                     source=_described(own),
+                    limits=(cell.own,),
                     kind=kind,
                     kernel=kernel,
                     allowance=variant.allowance if kernel else 0.0,
@@ -361,11 +385,12 @@ def _rows(
         ratio = variant.ratio(scene) if subject.setting is None else None
         if ratio is None and judged and correct_mean > 0:
             ratio = own_mean / correct_mean
-        others = [("correct", correct, ratio)]
+        others = [("correct", subject.correct(term), correct, ratio)]
         # The first variant, the product's own: how far the paper's decomposition is from light transport.
         if subject.setting is None and variant is subject.variants[term][0]:
-            others.append(("physical", references.rendered[limits.physical(term)], None))
-        for against, kept, predicted in others:
+            physical = limits.physical(term)
+            others.append(("physical", physical, rendered.rendered[physical], None))
+        for against, limit, kept, predicted in others:
             fields = _identity(subject, term, variant.name, kind, against)
             if against == "physical" and not at_own.absent:
                 fields["split"] = _split(cell.images[:, -1], own.images, kept.images)
@@ -375,17 +400,18 @@ def _rows(
                     cell.images[:, -1],
                     kept.images,
                     scene,
-                    statistics=at_own if kept is own else statistics(cell.images[:, -1], kept.images, what),
+                    statistics=at_own if kept is own else compare(cell.images[:, -1], kept.images, what),
                     samples=cell.samples[-1],
                     seconds=float(cell.seconds[:, -1].sum()),
                     source=_described(kept),
+                    limits=(limit,),
                     kind=kind,
                     kernel=kernel,
                     judged=False,
                     predicted_bias=None if predicted is None else predicted - 1.0,
                 )
             )
-    rows += _total_rows(subject, measured, references, statistics)
+    rows += _total_rows(subject, measured, rendered, compare)
     return rows
 
 
@@ -401,12 +427,12 @@ def _extrapolations(
     study: Study,
     subject: Subject,
     measured: list[Cell],
-    references: References,
+    rendered: References,
     advance: Callable[[str], None],
 ) -> list[dict[str, Any]]:
     """Relative error of the mean at each radius of the study, against the true integral, and extrapolated to 0."""
     scene = subject.scene
-    correct = references.correct["direct"].images
+    correct = rendered.correct["direct"].images
     found = []
     for variant in _of_radius(subject):
         samples = study.samples_of(variant)
@@ -504,8 +530,8 @@ def _exact_rows(study: Study, case: Case, progress: Callable[[], object]) -> lis
 def _total_rows(
     subject: Subject,
     measured: list[Cell],
-    references: References,
-    statistics: Callable[[np.ndarray, np.ndarray], Statistics],
+    rendered: References,
+    compare: Compare,
 ) -> list[_Row]:
     """Rows of the sum of the default variants; it carries the allowance of a kernel-based term."""
     scene = subject.scene
@@ -522,11 +548,11 @@ def _total_rows(
         shared = min(len(kept.images) for kept in chosen)
         return total(*(kept.images[:shared] for kept in chosen))
 
-    against = {"own": [references.rendered[default[term].own] for term in TERMS]}
+    against = {"own": [rendered.rendered[default[term].own] for term in TERMS]}
     if subject.setting is None:
-        against["physical"] = [references.rendered[limits.physical(term)] for term in TERMS]
+        against["physical"] = [rendered.rendered[limits.physical(term)] for term in TERMS]
     else:
-        against["correct"] = [references.correct[term] for term in TERMS]
+        against["correct"] = [rendered.correct[term] for term in TERMS]
     means = {name: _luminance(summed(chosen)) for name, chosen in against.items()}
     right = means.get("correct", means["own"])
     rows = []
@@ -539,10 +565,11 @@ def _total_rows(
                 ours,
                 reference,
                 scene,
-                statistics=statistics(ours, reference),
+                statistics=compare(ours, reference, TOTAL),
                 samples=max(cell.samples[-1] for cell in default.values()),
                 seconds=float(sum(cell.seconds[:, -1].sum() for cell in default.values())),
                 source=_described(*chosen),
+                limits=tuple(default[term].own for term in TERMS) if name == "own" else (),
                 kind=kind,
                 kernel=bool(by_kernel),
                 allowance=allowance if name == "own" else 0.0,
@@ -566,6 +593,7 @@ def _row(
     seconds: float,
     source: dict[str, Any],
     judged: bool,
+    limits: tuple[Limit, ...] = (),
     compile_seconds: float | None = None,
     error: Estimate | None = None,
     **decide: Any,
@@ -590,7 +618,8 @@ def _row(
         "relmse": None if black else float(np.mean([metrics.relative_mse(truth, image) for image in shown])),
         "ssim": _ssim(truth, shown, scene.exposure),
     }
-    return _Row(fields, statistics, {**decide, "samples": samples, "seconds": seconds}, judged)
+    decided = {**decide, "samples": samples, "seconds": seconds}
+    return _Row(fields, statistics, decided, judged, scene, limits)
 
 
 def _ssim(truth: np.ndarray, shown: np.ndarray, exposure: float) -> float | None:
@@ -635,13 +664,19 @@ def _tile_maps(row: _Row) -> dict[int, tiles.TileMap] | None:
     return tiles.tile_maps(row.statistics)
 
 
-def _decided(row: _Row, tests: int) -> dict[str, Any]:
+def _decided(row: _Row, tests: int, audited: list[dict[str, Any]]) -> dict[str, Any]:
+    word, failed = references.findings(audited, row.scene, row.limits)
+    fields = {**row.fields, "reference_audit": word}
     if row.statistics is None:
-        return {**row.fields, **_NOT_JUDGED}
-    outcome = verdict.decide(row.statistics, tests=max(tests, 1), judged=row.judged, **row.decide).row()
+        return {**fields, **_NOT_JUDGED}
+    judged = row.judged and not failed
+    outcome = verdict.decide(row.statistics, tests=max(tests, 1), judged=judged, **row.decide).row()
+    if row.judged and failed:
+        sentence = f"{verdict.NO_VERDICT}: its reference failed an audit: {'; '.join(failed)}."
+        outcome |= {"verdict": verdict.NO_VERDICT, "reasons": failed, "sentence": sentence}
     regions = outcome.pop("regions")
     return {
-        **row.fields,
+        **fields,
         **outcome,
         "channels": [region for region in regions if region["region"] == verdict.IMAGE],
         "objects": [region for region in regions if region["region"] != verdict.IMAGE],
@@ -722,8 +757,9 @@ def _gains(subject: Subject) -> dict[str, dict[str, float]]:
 
 
 def failures(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows whose verdict against `own` proves an error."""
-    return [row for row in results["cells"] if row["verdict"] in ("BIASED", "NOT AS PREDICTED")]
+    """Rows that prove an error: of ours, or of the reference."""
+    proven = ("BIASED", "NOT AS PREDICTED", verdict.NO_VERDICT)
+    return [row for row in results["cells"] if row["verdict"] in proven]
 
 
 def plain(value: Any) -> Any:

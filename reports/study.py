@@ -132,6 +132,7 @@ class Study:
     seed : fixed before the run; ours and the reference derive unrelated streams from it.
     replicates, reference_replicates : K and R, independent seeds, each with photon maps of its own.
     reference_spp : samples per pixel of a reference replicate.
+    audit : whether references are held against a second integrator too, beside their halves (`reports.references`).
     physical_spp : the same for full light transport, against which no verdict is due.
     twin_maps : photon maps a replicate of the twins, which kernel estimates are then judged against (at least 64 over
         all replicates are wanted); None: they are judged against E itself, with their allowance.
@@ -153,6 +154,7 @@ class Study:
     replicates: int = attrs.field(default=16, validator=in_range(4, 4096))
     reference_replicates: int = attrs.field(default=16, validator=in_range(4, 4096))
     reference_spp: int = attrs.field(default=64, validator=_count)
+    audit: bool = True
     physical_spp: int = attrs.field(default=16, validator=_count)
     twin_maps: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     photons: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))

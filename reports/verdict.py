@@ -50,6 +50,8 @@ IMAGE = "image"
 CHANNELS = ("red", "green", "blue")
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Of linear Rec. 709 (ITU-R BT.709-6, section 3)."""
+NO_VERDICT = "NO VERDICT"
+"""In the place of a verdict where the reference failed its own audit."""
 WORDS = {"right": ("BIASED", "EQUIVALENT"), "wrong": ("NOT AS PREDICTED", "AS PREDICTED")}
 
 TERM_FLOOR, ULP_FLOOR = 1e-6, 4.0
@@ -316,7 +318,8 @@ class Verdict:
     Attributes
     ----------
     verdict : str or None
-        ABSENT, BIASED, EQUIVALENT, UNDERPOWERED, NOT AS PREDICTED, AS PREDICTED; None if not judged.
+        ABSENT, BIASED, EQUIVALENT, UNDERPOWERED, NOT AS PREDICTED, AS PREDICTED; None if not judged. A run says
+        NO VERDICT where the reference failed its audit, see `reports.references`.
     sentence : str
         What was tested, what was found and what is not excluded.
     reasons : tuple of str

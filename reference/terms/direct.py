@@ -36,7 +36,7 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
         return lambda ray, sampler, active: mi.Color3f(0.0)
     depth = depth_of(loaded, limit)
     by_path = reflected(loaded.scenes["direct"], depth)
-    radiance = by_path if rays.plain(loaded) else functools.partial(_followed, loaded, depth)
+    radiance = by_path if rays.plain(loaded) else functools.partial(followed, loaded, depth)
     factor = dr.opaque(mi.Float, loaded.description["irradiance_factor"])
     dark = shadows.rule(loaded, limit, "diffuse")
 
@@ -51,8 +51,8 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
 
 
 @dr.syntax
-def _followed(loaded: Any, depth: int, ray: Any, sampler: Any, active: Any) -> Any:
-    """As `reflected`, by the scene's own rays and normals."""
+def followed(loaded: Any, depth: int, ray: Any, sampler: Any, active: Any) -> Any:
+    """As `reflected`, by the scene's own rays and normals, lit by light sampling alone."""
     scene = loaded.scenes["direct"]
     si = scene.ray_intersect(ray, active)
     active = mi.Bool(active & meets_surface(si))

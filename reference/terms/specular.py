@@ -6,6 +6,7 @@ at the vertices 1..M are estimated at one of them a chain, vertex `1 + (number m
 at every vertex for a fraction of the work. Lights are never met: their surfaces are black and end the chain.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -23,7 +24,11 @@ def estimator(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = ambie
     terms = [(limit["ambient"], ambient.incoming(loaded, plain, occlusion_rays=occlusion_rays))]
     if limit["kernel"] is None:
         terms.append((1.0, direct.incoming(loaded, plain)))
-    chain = segments(loaded, limit)
+    return gathered(segments(loaded, limit, lobes(loaded, limit)), terms)
+
+
+def gathered(chain: Any, terms: Sequence[tuple[float, Any]]) -> Estimator:
+    """Samples -> (specular term,): `chain`, of `segments`, lit by the terms with their factors."""
 
     def estimate(samples: Samples) -> tuple[Any]:
         color, ray, weight, active = chain(samples)
@@ -35,10 +40,9 @@ def estimator(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = ambie
     return estimate
 
 
-def segments(loaded: Any, limit: dict[str, Any]) -> Any:
+def segments(loaded: Any, limit: dict[str, Any], sample_lobes: Any) -> Any:
     """Samples -> the sky's light along a chain; and ray, weight and existence of the segment to the chosen vertex."""
     bounces = loaded.description["max_bounces"]
-    sample_lobes = _lobes(loaded, limit)
     dark = shadows.rule(loaded, limit, "specular")
 
     def chain(samples: Samples) -> Any:
@@ -83,7 +87,7 @@ def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Sam
     return color, kept_ray, kept_weight, kept
 
 
-def _lobes(loaded: Any, limit: dict[str, Any]) -> Any:
+def lobes(loaded: Any, limit: dict[str, Any]) -> Any:
     """(si, sampler, active) -> local direction and weight of one sample of `g (k S + k_d H)`."""
     lobe, diffuse = limit["lobe"], limit["diffuse"]
     outgoing = limit["cosine"] == "outgoing"

@@ -29,6 +29,7 @@ _HERE = Path(__file__).parent
 WORDS = {
     "BIASED": ("bad", "✕"),
     "NOT AS PREDICTED": ("bad", "✕"),
+    "NO VERDICT": ("bad", "!"),
     "UNDERPOWERED": ("open", "?"),
     "EQUIVALENT": ("good", "✓"),
     "AS PREDICTED": ("good", "✓"),
@@ -42,7 +43,7 @@ _FIELDS = (
     "reference_seconds compile_seconds rmse rmse_low rmse_high relmse ssim bias bias_low bias_high standard_error "
     "margin allowance tests family_low family_high rms_bias rms_bias_high place predicted_bias detectable_bias "
     "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall "
-    "group at gain base setting"
+    "reference_audit group at gain base setting"
 ).split()
 _LISTS = "channels", "objects", "warnings", "reasons", "tiles"
 
@@ -71,7 +72,10 @@ def write(run: Path) -> Path:
     if results.get("schema") != 1:
         raise ValueError(f"{run / 'results.json'}: schema = {results.get('schema')!r}: allowed is 1")
     rows = [_complete(row) for row in results["cells"]]
-    every = [_Scene(name, described, rows) for name, described in results["settings"]["scenes"].items()]
+    audits = results.get("audits", [])
+    every = [
+        _Scene(name, described, rows, audits) for name, described in results["settings"]["scenes"].items()
+    ]
     scenes = [scene for scene in every if scene.setting is None]
 
     # What an earlier run with other scenes left would be taken for this one's.
@@ -120,8 +124,15 @@ def write(run: Path) -> Path:
 class _Scene:
     """A scene's rows in the order in which they are read, and its pictures."""
 
-    def __init__(self, name: str, described: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+    def __init__(
+        self,
+        name: str,
+        described: dict[str, Any],
+        rows: list[dict[str, Any]],
+        audits: list[dict[str, Any]],
+    ) -> None:
         self.name = name
+        self.audits = [audit for audit in audits if audit["scene"] == name]
         self.described = {
             "resolution": None,
             "exposure": None,

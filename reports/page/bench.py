@@ -1,4 +1,4 @@
-"""Benchmarks as a page: `rays.json`, `terms.json` and `scaling.json`, whichever exist, -> `index.html` beside them."""
+"""Benchmarks as a page: those of `terms.json`, `rays.json` and so on that exist -> `index.html` beside them."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import jinja2
 
 from reports.page import charts, copy_static, page_environment, render_page
 
-NAMES = ("terms", "rays", "scaling")
+NAMES = ("terms", "rays", "scaling", "economies")
 
 
 def write(folder: Path) -> Path:

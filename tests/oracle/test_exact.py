@@ -28,7 +28,7 @@ def decided(case: exact.Case) -> tuple[dict[str, Any], dict[str, Any]]:
     """The rows of a case against its own limit and against the right one."""
     own, correct = run._exact_rows(STUDY, case, lambda: None)
     assert own.statistics
-    return run._decided(own, own.statistics.tests), run._decided(correct, own.statistics.tests)
+    return run._decided(own, own.statistics.tests, []), run._decided(correct, own.statistics.tests, [])
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.name} {case.variant.name}")

@@ -35,7 +35,7 @@ def renders(monkeypatch) -> list[int]:
         rendered.append(replicate)
         return original(*arguments, replicate=replicate, **options)
 
-    monkeypatch.setattr(reference, "compile_kernels", lambda *_: None)
+    monkeypatch.setattr(reference, "compile_kernels", lambda *_, **__: None)
     monkeypatch.setattr(store, "_variant", lambda: "any that has no budget")
     monkeypatch.setattr(reference, "replicate_parts", counted)
     return rendered
@@ -81,7 +81,7 @@ def test_physical_parts_come_from_one_render(scene, renders, tmp_path):
     assert renders == [0, 1]
 
 
-@pytest.mark.parametrize("change", ["scene", "limit", "spp", "seed", "sources"])
+@pytest.mark.parametrize("change", ["scene", "limit", "spp", "seed", "sources", "by_second"])
 def test_whatever_matters_changes_the_name(scene, monkeypatch, change):
     limit = correct("specular", "all")
     before = store.key(scene, limit, spp=2, seed=1)
@@ -92,8 +92,12 @@ def test_whatever_matters_changes_the_name(scene, monkeypatch, change):
     elif change == "sources":
         monkeypatch.setattr(store, "sources_digest", lambda *_: "other")
         after = store.key(scene, limit, spp=2, seed=1)
+    elif change == "by_second":
+        after = store.key(scene, limit, spp=2, seed=1, by_second=True)
+    elif change == "spp":
+        after = store.key(scene, limit, spp=3, seed=1)
     else:
-        after = store.key(scene, limit, **({"spp": 2, "seed": 1} | {change: 3}))
+        after = store.key(scene, limit, spp=2, seed=3)
     assert after != before
 
 

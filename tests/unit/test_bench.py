@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from reports import cli
-from reports.bench import common, curves, scaling, terms
+from reports.bench import common, curves, economies, scaling, terms
 from reports.bench.worker import Load
 from reports.page import bench as page
 from scenes.terms import TERMS
@@ -100,6 +100,9 @@ def test_spread_is_median_and_ends():
         (["scaling", "--axis", "depth"], ["axis = 'depth'", "triangles", "threads"]),
         (["scaling", "--runs", "0"], ["runs = 0", "at least 1"]),
         (["scaling", "--threads", "-2"], ["threads = -2", "at least 1"]),
+        (["economies", "--economy", "thrift"], ["economy = 'thrift'", "aimed, lights, roulette, adaptive"]),
+        (["economies", "--scene", "teapot"], ["scene = 'teapot'", "two_cubes", "monkey"]),
+        (["economies", "--batches", "0"], ["batches = 0", "at least 1"]),
         (["rays", "--mesh", "teapot"], ["mesh = 'teapot'", "boxes"]),
         (["rays", "--pairs", "0"], ["pairs = 0", "at least 1"]),
         (["rays", "--count", "0"], ["count = 0", "at least 1"]),
@@ -139,6 +142,23 @@ def test_a_tiny_scaling_run_says_all(monkeypatch, tmp_path):
     assert measured["cases"][2]["of_processes"] > 0
     assert set(measured["machine"]) >= {"processor", "cores", "threads", "load", "load_end", "versions"}
     assert (tmp_path / "bench" / "index.html").is_file()
+
+
+def test_a_tiny_run_of_economies_says_all(compiled):
+    """4 x 4 pixels, two batches: economies with the estimators they serve, cost the product of a batch's two ratios."""
+    if not compiled:
+        pytest.skip("photon maps of thousands of photons")
+    found = economies.measure(scenes=("monkey", "cornell_box"), resolution=4, batches=2)
+    rows = found["cases"]
+    assert {row["economy"] for row in rows if row["scene"] == "monkey"} == {"aimed", "roulette", "adaptive"}
+    # The box hides its light from nothing: no photon of it misses the scene.
+    assert {row["economy"] for row in rows if row["scene"] == "cornell_box"} == {"roulette", "adaptive"}
+    for row in rows:
+        for name in ("variance", "seconds", "cost"):
+            assert row[f"{name}_low"] <= row[name] <= row[f"{name}_high"]
+        assert row["cost_low"] >= row["variance_low"] * row["seconds_low"] * (1 - 1e-12)
+        assert row["cost_high"] <= row["variance_high"] * row["seconds_high"] * (1 + 1e-12)
+        assert row["verdict"] in ("EQUIVALENT", "UNDERPOWERED")
 
 
 def curve(side, setting, **facts):
@@ -191,13 +211,23 @@ def made(folder, *names):
             ],
             "settings": {"runs": 3},
         },
+        "economies": {
+            "cases": [
+                {"scene": "monkey", "economy": "aimed", "term": "direct", "variant": "path <1>"}
+                | {"variance": 1.0, "variance_low": 0.9, "variance_high": 1.1}
+                | {"seconds": 0.6, "seconds_low": 0.5, "seconds_high": 0.7}
+                | {"cost": 0.62, "cost_low": 0.45, "cost_high": 0.77, "verdict": "EQUIVALENT"}
+                | {"bias": 0.001, "bias_low": -0.001, "bias_high": 0.003}
+            ],
+            "settings": {"batches": 4},
+        },
     }  # fmt: skip
     for name in names:
         text = json.dumps(found[name] | {"machine": MACHINE, "command": f"termwise bench {name}"})
         (folder / f"{name}.json").write_text(text)
 
 
-@pytest.mark.parametrize("names", [("terms",), ("rays",), ("scaling",), ("terms", "rays", "scaling")])
+@pytest.mark.parametrize("names", [("terms",), ("rays",), ("scaling",), ("economies",), page.NAMES])
 def test_the_page_shows_whatever_exists(names, tmp_path):
     made(tmp_path, *names)
     text = page.write(tmp_path).read_text("utf-8")
@@ -215,11 +245,16 @@ def test_the_page_shows_whatever_exists(names, tmp_path):
     if "scaling" in names:
         assert "0.97" in text
         assert "2 processes" in text
+    if "economies" in names:
+        assert "0.62" in text
+        assert "EQUIVALENT" in text
     assert (tmp_path / "plotly.min.js").is_file() == (tmp_path / "charts.js").is_file() is True
 
 
 def test_an_empty_folder_or_a_broken_file_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"no benchmark: allowed are terms.json, rays.json, scaling.json"):
+    with pytest.raises(
+        ValueError, match=r"no benchmark: allowed are terms.json, rays.json, scaling.json, economies.json"
+    ):
         page.write(tmp_path)
     (tmp_path / "rays.json").write_text("{")
     with pytest.raises(ValueError, match=r"rays\.json.*termwise bench rays"):

@@ -1,0 +1,75 @@
+"""Second integrators: the same integrals by other sampling, which the references themselves are audited by.
+
+- ambient: directions uniform on the hemisphere, `2 mu hit(w)`, nearest hits in the place of occlusion rays;
+- direct: paths that light sampling alone lights, in the place of Mitsuba's `path` with its two strategies;
+- specular: directions from an even mixture of cosine and lobe, `f mu / ((p_lobe + mu / pi) / 2)`, in the place of the
+  lobe's own weight, and the second integrators above at the vertices.
+
+Which limits have one says `reference.has_second`; the others are held by closed forms in the tests.
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from . import rays
+from .terms import ambient, direct, specular
+from .wavefront import Estimator, idle
+
+
+def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
+    """Samples -> (term,); unbiased but for the depth of `direct`, which is that of the first integrator."""
+    if limit["term"] == "specular":
+        parts = [(limit["ambient"], _ambient(loaded)), (1.0, _direct(loaded, limit))]
+        return specular.gathered(specular.segments(loaded, limit, _mixture(loaded, limit)), parts)
+    radiance = _ambient(loaded) if limit["term"] == "ambient" else _direct(loaded, limit)
+    return lambda samples: (radiance(samples.ray, samples.sampler, True),)
+
+
+def _ambient(loaded: Any) -> Any:
+    """(ray, sampler, active) -> the term seen along the ray; black where it misses."""
+    scene = loaded.scenes["ambient"]
+    reach = dr.opaque(mi.Float, loaded.description["ambient"]["range"])
+    color = dr.opaque(mi.Color3f, loaded.description["ambient"]["color"])
+
+    def radiance(ray: Any, sampler: Any, active: Any) -> Any:
+        si = scene.ray_intersect(ray, active)
+        active = si.is_valid() & active
+        if idle(active):
+            return mi.Color3f(0.0)
+        albedo = si.bsdf().eval_diffuse_reflectance(si, active)
+        seen = mi.Float(0.0)
+        for _ in range(ambient.RAYS):
+            local = mi.warp.square_to_uniform_hemisphere(sampler.next_2d(active))
+            met = scene.ray_intersect(si.spawn_ray(si.to_world(local * rays.side(loaded, si))), active)
+            seen += dr.select(met.is_valid() & (met.t < reach), 0.0, 2.0 * local.z)
+        return dr.select(active, albedo * color * (seen / ambient.RAYS), 0.0)
+
+    return radiance
+
+
+def _direct(loaded: Any, limit: dict[str, Any]) -> Any:
+    """(ray, sampler, active) -> the term seen along the ray."""
+    if not loaded.description["has_lights"]:
+        return lambda ray, sampler, active: mi.Color3f(0.0)
+    depth = direct.depth_of(loaded, limit)
+    factor = dr.opaque(mi.Float, loaded.description["irradiance_factor"])
+    return lambda ray, sampler, active: factor * direct.followed(loaded, depth, ray, sampler, active)
+
+
+def _mixture(loaded: Any, limit: dict[str, Any]) -> Any:
+    """(si, sampler, active) -> local direction and weight of one sample of `k g S`."""
+    context = mi.BSDFContext()
+    factor = dr.opaque(mi.Float, limit["lobe"])
+
+    def sample(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        bsdf = si.bsdf()
+        by_lobe, _ = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+        cosine = rays.side(loaded, si) * mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
+        wo = dr.select(sampler.next_1d(active) < 0.5, by_lobe.wo, cosine)
+        value, density = bsdf.eval_pdf(context, si, wo, active)
+        density = 0.5 * (density + dr.abs(wo.z) * dr.inv_pi)
+        return wo, dr.select(density > 0.0, factor * value / density, 0.0)
+
+    return sample
