@@ -64,6 +64,15 @@ REFERENCES = (
         "B. L. Welch. The generalization of “Student's” problem when several different population variances are "
         "involved. Biometrika 34, 1947.",
     ),
+    (
+        "holm",
+        "S. Holm. A simple sequentially rejective multiple test procedure. Scandinavian Journal of Statistics 6, 1979.",
+    ),
+    (
+        "benjamini",
+        "Y. Benjamini, Y. Hochberg. Controlling the false discovery rate: a practical and powerful approach to "
+        "multiple testing. Journal of the Royal Statistical Society B 57(1), 1995.",
+    ),
     ("efron", "B. Efron. The jackknife, the bootstrap and other resampling plans. SIAM 1982."),
     (
         "jung",

@@ -276,7 +276,9 @@ def test_judged_rows_have_tiles_and_their_maps(first: Finished, results: dict[st
 
 def test_dataset(first: Finished):
     with xarray.open_dataset(first.folder / "results.nc", group="scene", engine="h5netcdf") as group:
+        tiles = {f"tile_{axis}_{side}": 2 if side == 8 else 1 for axis in "xy" for side in (8, 16, 32)}
         assert dict(group.sizes) | {"cell": 0, "limit": 0} == {
+            **tiles,
             "cell": 0,
             "limit": 0,
             "y": 9,
