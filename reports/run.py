@@ -125,7 +125,13 @@ def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
 
 
 def measure(
-    study: Study, scenes: tuple[Scene, ...], folder: Path, *, name: str, report: Report
+    study: Study,
+    scenes: tuple[Scene, ...],
+    folder: Path,
+    *,
+    name: str,
+    report: Report,
+    arguments: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Measure and judge a study; write results and images into `folder`.
 
@@ -135,6 +141,7 @@ def measure(
     folder : made if missing.
     name : the study's name, for the report.
     report : called with (what, done, of all) as replicates come in.
+    arguments : what a command names them by: {"study": its name or file, "scenes": {name: name or file}}.
 
     Returns
     -------
@@ -203,6 +210,7 @@ def measure(
             measured,
             {limit: kept.images for limit, kept in rendered.rendered.items()},
             {term: kept.images for term, kept in rendered.correct.items()},
+            objects,
             versions(),
         )
         described[scene.name] = _describe(study, subject, measured)
@@ -226,6 +234,7 @@ def measure(
             "system": f"{platform.system()} {platform.release()}",
             "cores": os.cpu_count(),
             "command": " ".join(["termwise", *sys.argv[1:]]),
+            "arguments": arguments or {"study": name, "scenes": {}},
             "alpha": verdict.LEVEL,
             "tests": tests,
             "options": {
