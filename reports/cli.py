@@ -220,14 +220,17 @@ def inspect(
     opened = microscope.open_run(folder)
     rows = opened.judged(scene, term, variant)
     row = rows[0]
-    found = microscope.branch(
-        opened.group(row["scene"]),
-        row["term"],
-        row["variant"],
-        object=object_,
-        tile=tile,
-        pixel=None if x is None or y is None else (x, y),
-    )
+    try:
+        found = microscope.branch(
+            opened.group(row["scene"]),
+            row["term"],
+            row["variant"],
+            object=object_,
+            tile=tile,
+            pixel=None if x is None or y is None else (x, y),
+        )
+    except ValueError as error:
+        raise ValueError(f"{row['scene']}, {row['term']} {row['variant']}: {error}") from None
     command = None if found.replicate is None else opened.replay(row, found)
     if json_:
         identity = {name: row[name] for name in ("scene", "term", "variant", "verdict", "sentence")}
