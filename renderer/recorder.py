@@ -14,6 +14,7 @@ import functools
 import inspect
 import math
 import pickle
+import signal
 import sys
 from collections.abc import Callable
 from types import FrameType, SimpleNamespace
@@ -44,7 +45,7 @@ class Recorder:
         self.events: list[Event] = []
         self._probability = 1.0  # of the light that was picked
         self._gathered: list[Event] = []
-        self._mass = 0.0
+        self._mass: float | None = None
         self._found = 0
 
     def note(self, event: str, **values: Any) -> None:
@@ -190,7 +191,7 @@ class Recorder:
         count, gathered = len(self._gathered), self._gathered
         self.note("photons", radius=radius, count=count, flux=flux, **values, irradiance=irradiance)
         self.events[-1]["gathered"] = gathered
-        self._gathered, self._mass, self._found = [], 0.0, 0
+        self._gathered, self._mass, self._found = [], None, 0
 
     def accumulate(self, given: Any, none: None, caller: FrameType) -> None:
         """What is added to the pixel."""
@@ -254,7 +255,8 @@ def _wrapped(function: Callable[..., Any], handler: Callable[..., None]) -> Call
 
 
 def main() -> None:
-    """Answer requests until there are no more."""
+    """Answer requests until there are no more; what is typed to interrupt the parent is the parent's affair."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, answers = sys.stdin.buffer, sys.stdout.buffer
     scene, term, name = pickle.load(requests)
     recorder = Recorder(scene)

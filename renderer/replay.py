@@ -9,6 +9,7 @@ was the kernel's to the bit in all variants on the library's scenes; another mat
 few units in the last place, and what is more than TOLERATED_ULP says that the trace took another way.
 """
 
+import errno
 import os
 import pickle
 import subprocess
@@ -101,7 +102,12 @@ class _Recorded(Engine):
     def _trace(self, request: Any) -> tuple[list[Event], np.ndarray]:
         assert self._recorder.stdout is not None
         self._send(request)
-        events, radiance = pickle.load(self._recorder.stdout)
+        try:
+            events, radiance = pickle.load(self._recorder.stdout)
+        except EOFError:
+            raise ChildProcessError(
+                errno.ECHILD, "ended before it had answered", "renderer.recorder"
+            ) from None
         for event in events:
             if "object" in event:
                 event["object"] = self._objects[event["object"]]

@@ -115,6 +115,8 @@ def test_the_tree_ends_with_the_line_that_replays_it(folder: Path, command: Comm
     assert line.startswith(
         f"termwise replay --scene {folder / 'scene.toml'} --term ambient --variant cosine --x "
     )
+    page = (folder / "compare" / "scenes" / "scene.html").read_text()
+    assert f"<code>{line.partition(' --results ')[0]}</code>" in page
 
 
 def replayed(folder: Path, command: Command, term: str, variant: str) -> tuple[Any, dict[str, Any]]:
