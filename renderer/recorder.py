@@ -105,6 +105,10 @@ class Recorder:
         """Which light."""
         self._probability = picked[1]
 
+    def _pick_by_light(self, given: Any, picked: Any, caller: FrameType) -> None:
+        """Which light, chosen by what each may send."""
+        self._probability = picked[1]
+
     def sample_light(self, given: Any, sampled: Any, caller: FrameType) -> None:
         """A point of a light: `pdf` per solid angle is that of a face, None for a point light."""
         irradiance, direction, target = sampled
@@ -211,6 +215,7 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     ambient.sample_hemisphere,
     ambient.sample_ambient,
     lights.pick,
+    lights._pick_by_light,
     lights.sample_light,
     lights.light_irradiance,
     warp.square_to_cosine_hemisphere,

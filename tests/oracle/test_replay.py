@@ -103,12 +103,23 @@ def test_densities_are_those_of_the_estimators(scene: Scene):
         assert drawn["weight"] == pytest.approx(drawn["local"][2] / math.pi / drawn["pdf"])
     for drawn in events(trace(scene, "ambient", "cosine"), "ambient direction"):
         assert drawn["weight"] == pytest.approx(drawn["local"][2] / math.pi / drawn["pdf"])
-    for light in events(trace(scene, "direct", "path"), "light"):
-        if light["pdf"]:
-            # Of one radiance are all lights of this scene: E / pi is at most L / pi over the density.
-            (emission,) = {thing.emission for thing in scene.objects if thing.emits}
-            bound = np.array(emission) / math.pi / light["pdf"] * (1 + 1e-9)
-            assert (np.array(light["unhidden"]) <= bound).all()
+
+
+@pytest.mark.parametrize("lamps", [1, 2])
+def test_density_of_light_sampling(lamps: int, scene: Scene):
+    """Of one radiance L are all lights: E / pi is at most L / pi over the density. One lamp: by power; two: by light."""
+    (emission,) = {thing.emission for thing in scene.objects if thing.emits}
+    lit = [
+        attrs.evolve(thing, emission=emission) if lamps == 2 and thing.name == "short block" else thing
+        for thing in scene.objects
+    ]
+    lights = events(trace(attrs.evolve(scene, objects=tuple(lit)), "direct", "path"), "light")
+    faces = [light for light in lights if light["pdf"]]
+    assert faces
+    for light in faces:
+        assert light["probability"] < 1.0
+        bound = np.array(emission) / math.pi / light["pdf"] * (1 + 1e-9)
+        assert (np.array(light["unhidden"]) <= bound).all()
 
 
 def test_photons_make_up_the_irradiance(scene: Scene):
