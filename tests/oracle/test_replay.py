@@ -107,7 +107,7 @@ def test_densities_are_those_of_the_estimators(scene: Scene):
 
 @pytest.mark.parametrize("lamps", [1, 2])
 def test_density_of_light_sampling(lamps: int, scene: Scene):
-    """Of one radiance L are all lights: E / pi is at most L / pi over the density. One lamp: by power; two: by light."""
+    """All lights have one radiance L: E / pi is at most L / pi over the density. One lamp: by power, two: by light."""
     (emission,) = {thing.emission for thing in scene.objects if thing.emits}
     lit = [
         attrs.evolve(thing, emission=emission) if lamps == 2 and thing.name == "short block" else thing
