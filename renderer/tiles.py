@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Self
 
 import numpy as np
 
@@ -82,6 +83,7 @@ class Engine:
     adaptive : whether a pilot decides how many samples each tile gets, see `renderer.adaptive`; N is then the mean.
     map_bytes : memory for photon maps, kept while one replicate is rendered: terms that mean the same maps trace them
         once, which changes no bit, but the seconds of the second.
+    pixel : (x, y) of the one pixel that is rendered, to the bit as in a whole image; all others stay black.
 
     Attributes
     ----------
@@ -97,9 +99,14 @@ class Engine:
         without: Collection[str] = (),
         adaptive: bool = False,
         map_bytes: int = 0,
+        pixel: tuple[int, int] | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise ValueError(f"threads = {threads}: allowed is at least 1")
+        if adaptive and pixel is not None:
+            raise ValueError(
+                "pixel with adaptive = True: allowed is one of them, the pilot needs the whole image"
+            )
         allowed = *SKIPS, *ECONOMIES
         for name in without:
             if name not in allowed:
@@ -117,7 +124,12 @@ class Engine:
         self._map_bytes = map_bytes
         self._maps: dict[tuple, photon_map.PhotonMap] = {}
         width, height = scene.resolution
-        everywhere = np.ones((height, width), np.bool_)
+        everywhere = np.full((height, width), pixel is None)
+        if pixel is not None:
+            for name, at, size in zip("xy", pixel, (width, height), strict=True):
+                if not 0 <= at < size:
+                    raise ValueError(f"{scene.name}: {name} = {at}: allowed is an integer in [0, {size - 1}]")
+            everywhere[pixel[1], pixel[0]] = True
         # The tiles of adaptive counts decide the image, so the threads may not decide the tiles.
         least = 1 if adaptive else _TILES_A_THREAD * threads
         self.adaptive = adaptive
@@ -126,10 +138,10 @@ class Engine:
         self._everywhere = _tiles(everywhere, least=least, side=side)
         # Those that may see an object: all terms but a textured sky are zero, or constant, in the others.
         self.tiles = _tiles(
-            everywhere if "window" in self.without else may_see(scene), least=least, side=side
+            everywhere if "window" in self.without else everywhere & may_see(scene), least=least, side=side
         )
 
-    def __enter__(self) -> "Engine":
+    def __enter__(self) -> Self:
         """Return the engine; its threads end with the block."""
         return self
 

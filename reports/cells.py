@@ -1,8 +1,8 @@
 """Cells (scene, term, variant): the replicate images of an estimator, computed once and kept on disk.
 
-A replicate is one file: the float32 means of the first 1, 2, 4, ... N samples, the seconds that each took, and the work
-that was done. Its name is the digest of all that decides its bits, so a run that was interrupted, or one with nothing
-changed, finds it again.
+A replicate is one file: the float32 means of the first 1, 2, 4, ... N samples, the last of them in float64 too, the
+seconds that each took, and the work that was done. Its name is the digest of all that decides its bits, so a run that
+was interrupted, or one with nothing changed, finds it again.
 """
 
 import hashlib
@@ -39,6 +39,7 @@ class Cell:
     own : the limit that it is judged against.
     samples : (P,) the prefixes 1, 2, 4, ..., N.
     images : (K, P, H, W, 3) float32.
+    files : of the replicates, in order; none of an estimator in Python.
     seconds : (K, P) float64, wall-clock up to each prefix, compilation apart.
     counts : work done for all replicates, by name of `renderer.scratch.COUNTERS`.
     kernels : that it took.
@@ -50,11 +51,19 @@ class Cell:
     own: Limit
     samples: tuple[int, ...]
     images: np.ndarray
+    files: tuple[Path, ...]
     seconds: np.ndarray
     counts: dict[str, int]
     kernels: tuple[str, ...]
     compile_seconds: float
     key: str
+
+    def rendered(self, replicate: int) -> np.ndarray | None:
+        """Mean of all samples of a replicate as it was rendered, (H, W, 3) float64; None of an estimator in Python."""
+        if not self.files:
+            return None
+        with np.load(self.files[replicate]) as arrays:
+            return arrays["rendered"]
 
 
 def key(scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain) -> str:
@@ -92,10 +101,10 @@ def cell(
     prefixes = powers_of_two(samples)
     width, height = engine.scene.resolution
     compiled = engine.compile_seconds
-    images, seconds, counts = [], [], np.zeros(len(COUNTERS), np.int64)
+    images, seconds, files, counts = [], [], [], np.zeros(len(COUNTERS), np.int64)
     kernels: tuple[str, ...] = ()
     if before is not None:
-        images, seconds = list(before.images), list(before.seconds)
+        images, seconds, files = list(before.images), list(before.seconds), list(before.files)
         counts += np.array(list(before.counts.values()))
         kernels = before.kernels
     for replicate in range(len(images), replicates):
@@ -109,6 +118,7 @@ def cell(
             )
             kept = {
                 "images": np.stack([image for _, image, _ in steps]).astype(np.float32),
+                "rendered": steps[-1][1],
                 "seconds": np.array([spent for _, _, spent in steps]),
                 "counts": np.array(list(engine.counts.values())) - done,
                 "kernels": np.array(engine.kernels_of(variant, chain=chain), np.str_),
@@ -116,6 +126,8 @@ def cell(
             if variant.function is None:
                 write_atomically(path, lambda temporary, kept=kept: np.savez(temporary, **kept))
         images.append(kept["images"])
+        if variant.function is None:
+            files.append(path)
         seconds.append(kept["seconds"])
         counts += kept["counts"]
         kernels = tuple(kept["kernels"].tolist())
@@ -125,6 +137,7 @@ def cell(
         own,
         prefixes,
         np.stack(images),
+        tuple(files),
         np.stack(seconds),
         dict(zip(COUNTERS, counts.tolist(), strict=True)),
         kernels,
@@ -137,8 +150,8 @@ def _read(path: Path, shape: tuple[int, ...]) -> dict[str, np.ndarray] | None:
     """The arrays of a kept replicate; None where the file is missing or damaged (NPZ has checksums)."""
     try:
         with np.load(path) as arrays:
-            kept = {name: arrays[name] for name in ("images", "seconds", "counts", "kernels")}
+            kept = {name: arrays[name] for name in ("images", "rendered", "seconds", "counts", "kernels")}
     except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile):
         return None
-    shapes = kept["images"].shape, kept["seconds"].shape, kept["counts"].shape
-    return kept if shapes == (shape, shape[:1], (len(COUNTERS),)) else None
+    shapes = tuple(kept[name].shape for name in ("images", "rendered", "seconds", "counts"))
+    return kept if shapes == (shape, shape[1:], shape[:1], (len(COUNTERS),)) else None

@@ -3,7 +3,10 @@
 An EXR holds one part per term image and reference, float32, linear Rec. 709, with its provenance in the header.
 `results.nc` has a group a scene: `image(cell, y, x, channel)` and `reference(limit, y, x, channel)`, means over
 replicates with the variance of the mean, for each cell the indices of its own, correct and physical limit, -1 where
-there is none, and the maps of its tiles, see `reports.tiles`.
+there is none, and the maps of its tiles, see `reports.tiles`. `object(y, x)` is what the pixels' centres see, and the
+luminance of its pieces (see `reports.microscope`) stands for each replicate, which pixels' variances cannot say. One
+replicate of each cell, the worst at its worst pixel, is there whole, in float64 as it was rendered: `rendered(cell, y,
+x, channel)` and its number `rendered_replicate(cell)`; NaN and -1 for the total and for estimators in Python.
 """
 
 import errno
@@ -15,6 +18,7 @@ import numpy as np
 import OpenEXR
 import xarray
 
+from reports import microscope
 from reports.cells import Cell
 from reports.subjects import Subject
 from reports.tiles import TileMap, variables
@@ -106,9 +110,10 @@ class Pictures:
         measured: list[Cell],
         references: dict[Limit, np.ndarray],
         correct: dict[Term, np.ndarray],
+        objects: np.ndarray,
         versions: dict[str, str],
     ) -> None:
-        """Write the EXR of a scene and keep its group of the dataset."""
+        """Write the EXR of a scene and keep its group of the dataset; `objects` are (H, W) indices."""
         scene = subject.scene
         ours = {
             (cell.variant.term, cell.variant.name): _summary(cell.images[:, -1], cell.samples[-1])
@@ -118,7 +123,10 @@ class Pictures:
         shared = min(len(cell.images) for cell in defaults)
         summed = total(*(cell.images[:shared, -1] for cell in defaults))
         ours[TOTAL, "default"] = _summary(summed, max(cell.samples[-1] for cell in defaults))
+        pieces = microscope.pieces(objects)
+        ours_of = [pieces.luminance(cell.images[:, -1]) for cell in measured] + [pieces.luminance(summed)]
         truth = {limit_name(limit): _summary(stack, 0) for limit, stack in references.items()}
+        truth_of = [pieces.luminance(stack) for stack in references.values()]
         own = [references[cell.own] for cell in defaults]
         physical = [references.get(limits.physical(term)) for term in TERMS]
         sums = {"total": own, "total physical": [stack for stack in physical if stack is not None]}
@@ -128,11 +136,14 @@ class Pictures:
             truth |= {
                 prefix + limit_name(subject.correct(term)): _summary(correct[term], 0) for term in TERMS
             }
+            truth_of += [pieces.luminance(correct[term]) for term in TERMS]
             sums["unchanged total"] = [correct[term] for term in TERMS]
         for name, chosen in sums.items():
             if chosen:
                 shared = min(len(stack) for stack in chosen)
-                truth[name] = _summary(total(*(stack[:shared] for stack in chosen)), 0)
+                added = total(*(stack[:shared] for stack in chosen))
+                truth[name] = _summary(added, 0)
+                truth_of.append(pieces.luminance(added))
         names = {name: index for index, name in enumerate(truth)}
         limits_of = [
             (
@@ -144,12 +155,25 @@ class Pictures:
         ]
         limits_of.append(("total", f"{prefix}total", "total physical"))
         indices = np.array([[names.get(name, -1) for name in row] for row in limits_of])
-        self.groups[scene.name] = xarray.Dataset(
+        width, height = scene.resolution
+        dataset = xarray.Dataset(
             {
                 "image": _stacked("cell", [each.mean for each in ours.values()]),
                 "image_variance": _stacked("cell", [each.variance for each in ours.values()]),
                 "reference": _stacked("limit", [each.mean for each in truth.values()]),
                 "reference_variance": _stacked("limit", [each.variance for each in truth.values()]),
+                "object": (("y", "x"), objects),
+                "piece_object": ("piece", pieces.object),
+                "piece_x": ("piece", pieces.x),
+                "piece_y": ("piece", pieces.y),
+                "piece_pixels": ("piece", pieces.pixels),
+                "image_pieces": (("cell", "replicate", "piece"), np.stack(ours_of)),
+                "reference_pieces": (("limit", "reference_replicate", "piece"), _padded(truth_of)),
+                "rendered": (
+                    ("cell", "y", "x", "channel"),
+                    np.full((len(ours), height, width, len(CHANNELS)), np.nan),
+                ),
+                "rendered_replicate": ("cell", np.full(len(ours), -1)),
             },
             {
                 "cell_term": ("cell", [term for term, _ in ours]),
@@ -159,9 +183,18 @@ class Pictures:
                 "correct": ("cell", indices[:, 1]),
                 "physical": ("cell", indices[:, 2]),
                 "channel": list(CHANNELS),
+                "object_name": ("objects", [thing.name for thing in scene.objects]),
             },
             {"exposure": scene.exposure, "units": "linear Rec. 709 radiance", "digest": scene.digest()},
         )
+        for index, cell in enumerate(measured):
+            x, y = microscope.branch(dataset, cell.variant.term, cell.variant.name).pixel
+            replicate = microscope.worst_replicate(dataset, index, cell.images[:, -1, y, x], x, y)
+            rendered = cell.rendered(replicate)
+            if rendered is not None:
+                dataset["rendered"].values[index] = rendered
+                dataset["rendered_replicate"].values[index] = replicate
+        self.groups[scene.name] = dataset
         parts = {f"{term}.{variant}": each.mean for (term, variant), each in ours.items()}
         parts |= {f"reference.{name}": each.mean for name, each in truth.items()}
         header = {
@@ -196,6 +229,14 @@ def write_netcdf(path: Path, groups: dict[str, xarray.Dataset]) -> None:
 
 def _summary(stack: np.ndarray, samples: int) -> TermImage:
     return TermImage.from_replicates(stack, samples=samples, seconds=0.0)
+
+
+def _padded(stacks: list[np.ndarray]) -> np.ndarray:
+    """Stacks of so many replicates as the longest has; NaN where one has fewer."""
+    longest = max(len(stack) for stack in stacks)
+    return np.stack(
+        [np.pad(stack, ((0, longest - len(stack)), (0, 0)), constant_values=np.nan) for stack in stacks]
+    )
 
 
 def _stacked(dimension: str, arrays: list[np.ndarray]) -> tuple[tuple[str, ...], np.ndarray]:

@@ -140,7 +140,13 @@ def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
 
 
 def measure(
-    study: Study, scenes: tuple[Scene, ...], folder: Path, *, name: str, report: Report
+    study: Study,
+    scenes: tuple[Scene, ...],
+    folder: Path,
+    *,
+    name: str,
+    report: Report,
+    arguments: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Measure and judge a study; write results and images into `folder`.
 
@@ -150,6 +156,7 @@ def measure(
     folder : made if missing.
     name : the study's name, for the report.
     report : called with (what, done, of all) as replicates come in.
+    arguments : what a command names them by: {"study": its name or file, "scenes": {name: name or file}}.
 
     Returns
     -------
@@ -180,7 +187,7 @@ def measure(
         measured = source.measure()
         groups += source.groups(measured)
         audits += source.audits()
-        pictures.write(subject, measured, *source.images(), versions())
+        pictures.write(subject, measured, *source.images(), source.objects, versions())
         described[scene_name] = _describe(study, subject, measured)
         extrapolations += _extrapolations(takes, subject, source.rendered)
     groups += [_exact_group(takes, case) for case in known]
@@ -196,7 +203,7 @@ def measure(
         for scene_name, source in sources.items():
             if source.extended:
                 measured = source.extend()
-                pictures.write(source.subject, measured, *source.images(), versions())
+                pictures.write(source.subject, measured, *source.images(), source.objects, versions())
                 described[scene_name]["work"] = _work(measured)
     decided = [[_decided(row, tests, audited, looks) for row in group.rows] for group in groups]
     rows = [row for found in decided for row in found]
@@ -219,6 +226,7 @@ def measure(
             "system": f"{platform.system()} {platform.release()}",
             "cores": os.cpu_count(),
             "command": " ".join(["termwise", *sys.argv[1:]]),
+            "arguments": arguments or {"study": name, "scenes": {}},
             "alpha": verdict.LEVEL,
             "tests": tests,
             "certified": {
@@ -422,13 +430,13 @@ class _Source:
         )
         # Of the first look, as whatever a row does not share with its own verdict: how far others got decides nothing.
         self._scale = sum(_luminance(kept.images) for kept in self.rendered.correct.values()) or 1.0
-        self._objects = np.empty(0, np.int64)
+        self.objects = np.empty(0, np.int64)
         self._factors: dict[Variant | Limit, int] = {}
 
     def measure(self) -> list[Cell]:
         """The cells of all variants at the first look."""
         with Engine(self.subject.scene) as engine:
-            self._objects = engine.geometry().object
+            self.objects = engine.geometry().object
             return [
                 self._cell(engine, variant, 1) for term in TERMS for variant in self.subject.variants[term]
             ]
@@ -499,7 +507,7 @@ class _Source:
         names = [thing.name for thing in scene.objects]
         try:
             return verdict.measure(
-                ours, reference, objects=self._objects, object_names=names, scale=self._scale
+                ours, reference, objects=self.objects, object_names=names, scale=self._scale
             )
         except ValueError as error:
             raise ValueError(f"{scene.name}: {what}: {error}") from None

@@ -8,6 +8,7 @@ import cattrs
 
 from renderer.plan import check
 from renderer.terms import VARIANTS, Chain, Variant
+from reports import exact
 from reports.study import Setting, Study
 from scenes import limits, strict
 from scenes.limits import Limit
@@ -96,6 +97,25 @@ def subjects(study: Study, scenes: tuple[Scene, ...]) -> Iterator[Subject]:
                     for term in TERMS
                 }
                 yield _checked(Subject(scene, variants, setting.chain, setting, base))
+
+
+def named(study: Study, name: str, variant: Variant) -> tuple[Subject, int]:
+    """The subject of a study by its scene's name, or a scene by its own as the study prepares it; and the samples.
+
+    Raises
+    ------
+    ValueError
+        Neither is there.
+    """
+    for case in exact.cases(study):
+        if (case.name, case.variant) == (name, variant):
+            return Subject(case.scene, {variant.term: (variant,)}), case.samples
+    count = study.samples_of(variant)
+    prepared = scenes_of(study)
+    if name in [f"{base.name}.{setting.name}" for setting in study.settings for base in prepared]:
+        return next(each for each in subjects(study, prepared) if each.scene.name == name), count
+    (scene,) = [scene for scene in prepared if scene.name == name] or scenes_of(study, (name,))
+    return Subject(scene, {variant.term: (variant,)}), count
 
 
 def _checked(subject: Subject) -> Subject:

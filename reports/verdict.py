@@ -509,7 +509,7 @@ def measure(
         term_mean = term_mean if term_mean > 0 else 1.0
 
     def compare(values: np.ndarray, least: float) -> Comparison:
-        return _welch(values[:count], values[count:], least=least, term_mean=term_mean)
+        return welch(values[:count], values[count:], least=least, term_mean=term_mean)
 
     by_replicate = np.moveaxis(means, 1, 0)
     tile_sums = np.concatenate(tile_rows, axis=2)
@@ -1088,7 +1088,7 @@ def _block_sums(values: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     return sums, np.multiply.outer(heights, widths).astype(np.float64)
 
 
-def _welch(ours: np.ndarray, reference: np.ndarray, *, least: float, term_mean: float) -> Comparison:
+def welch(ours: np.ndarray, reference: np.ndarray, *, least: float, term_mean: float) -> Comparison:
     """Compare replicate means (K, ...) and (R, ...), relative to the reference or `least` if larger."""
 
     def mean_and_variance(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ import xarray
 from markupsafe import Markup, escape
 
 from renderer.terms import VARIANTS
-from reports import tiles, verdict
+from reports import microscope, tiles, verdict
 from reports.page import charts, digits, method, pictures
 from scenes.store import write_atomically
 from scenes.terms import TERMS, TOTAL
@@ -83,6 +83,8 @@ def write(run: Path) -> Path:
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
     shown = {scene.name: scene.draw(run) for scene in every}
+    for scene in every:
+        scene.look(run, results)
     copy_static(run)
 
     exact = _exact(rows)
@@ -132,6 +134,7 @@ class _Scene:
         audits: list[dict[str, Any]],
     ) -> None:
         self.name = name
+        self.branches: dict[tuple[str, str], dict[str, Any]] = {}
         self.audits = [audit for audit in audits if audit["scene"] == name]
         self.described = {
             "resolution": None,
@@ -175,6 +178,20 @@ class _Scene:
             if (row["term"], row["variant"], row["against"]) == (term, variant, against)
         ]
         return max(rows, key=lambda row: row["samples"] or 0, default=None)
+
+    def look(self, run: Path, results: dict[str, Any]) -> None:
+        """Find the most suspect pixel of each judged row that has light; an earlier version's run has no pieces."""
+        with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as dataset:
+            if not microscope.has_pieces(dataset):
+                return
+            dataset = dataset.load()
+        for term, variant in self.keys:
+            row = self.row(term, variant, "own")
+            if row and row["verdict"] not in (None, "ABSENT"):
+                found = microscope.branch(dataset, term, variant)
+                replay = None if found.replicate is None else microscope.replay_command(results, row, found)
+                places = (found.object, found.tile, found.at)
+                self.branches[term, variant] = {"places": places, "replay": replay}
 
     def chart(self, term: str) -> dict[str, Any] | None:
         """Convergence of all variants of a term, as a plotly figure."""

@@ -281,6 +281,10 @@ def test_dataset(first: Finished):
             **tiles,
             "cell": 0,
             "limit": 0,
+            "replicate": 4,
+            "reference_replicate": 4,
+            "piece": 4,  # of the floor and of nothing beside it, in tiles of 8 pixels
+            "objects": 1,
             "y": 9,
             "x": 12,
             "channel": 3,

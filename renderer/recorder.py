@@ -1,0 +1,286 @@
+"""The kernels as plain Python, a sample of a pixel at a time, with a record of what their functions are given and give.
+
+Nothing of an estimator is written here again: the very functions that Numba compiles run uncompiled, and those of
+WATCHED are wrapped in every module that names them. Directions, weights and decisions are their arguments, results and
+local variables; the densities alone are evaluated beside them.
+
+A process of its own, `NUMBA_DISABLE_JIT=1 python -m renderer.recorder`, because functions are plain for a whole process
+or not at all. It reads pickled requests from standard input and writes pickled answers to standard output:
+`(scene arrays, term, variant)` once, then `(inputs or None, key, x, y, sample)` -> `(events, radiance)`; inputs of None
+are those before. Its parent is `renderer.replay`.
+"""
+
+import functools
+import inspect
+import math
+import pickle
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from renderer import camera, film, kernel_mass, lights, photon_map, photon_search, sobol, surface, warp
+from renderer.arrays import SceneArrays
+from renderer.microfacet import pdf_lobe
+from renderer.scratch import new_scratch
+from renderer.terms import VARIANTS, ambient, direct, specular
+from renderer.vector import dot, vec3
+
+Event = dict[str, Any]
+
+_UNIFORM = 1.0 / (2.0 * math.pi)
+
+
+class Recorder:
+    """Events of a sample, in the order in which they happen.
+
+    A handler is called after the function of its name with the arguments, the result and the caller's frame.
+    """
+
+    def __init__(self, scene: SceneArrays) -> None:
+        self.scene = scene
+        self.events: list[Event] = []
+        self._probability = 1.0  # of the light that was picked
+        self._gathered: list[Event] = []
+        self._mass: float | None = None
+        self._found = 0
+
+    def note(self, event: str, **values: Any) -> None:
+        """Add an event."""
+        self.events.append({"event": event} | {name: _plain(value) for name, value in values.items()})
+
+    def camera_ray(self, given: Any, ray: Any, caller: FrameType) -> None:
+        """The ray through the pixel."""
+        self.note("camera ray", position=ray.origin, direction=ray.direction)
+
+    def _surface(self, given: Any, found: Any, caller: FrameType) -> None:
+        """What a ray meets."""
+        if found.face < 0:
+            self.note("miss", direction=given.direction)
+            return
+        first = int(self.scene.geometry.first[found.object])
+        triangle = found.face - first
+        values = {
+            "position": found.point,
+            "normal": found.normal,
+            "object": found.object,
+            "triangle": triangle,
+        }
+        before = len(self.events)
+        self.note("vertex", **values)
+        # A kernel may take the same vertex from its group of rays a second time.
+        if self.events[-1] in self.events[:before]:
+            self.events.pop()
+
+    def shadowed(self, given: Any, dark: bool, caller: FrameType) -> None:
+        """The paper's shadow rule."""
+        if len(self.scene.shadow_rule.object):
+            self.note("shadow rule", dark=bool(dark))
+
+    def sample_hemisphere(self, given: Any, drawn: Any, caller: FrameType) -> None:
+        """A direction of ambient light, by the rule of the variant."""
+        local, weight = drawn
+        pdf = {ambient.COSINE: local.z / math.pi, ambient.PAPER_LOOP: None}.get(given.rule, _UNIFORM)
+        self.note("ambient direction", local=local, pdf=pdf, weight=weight)
+
+    def sample_ambient(self, given: Any, sampled: Any, caller: FrameType) -> None:
+        """Its radiance if nothing hides it."""
+        radiance, direction, asks = sampled
+        self.note("ambient light", direction=direction, unhidden=radiance, asks=bool(asks))
+
+    def occluded(self, given: Any, hidden: bool, caller: FrameType) -> None:
+        """One occlusion ray."""
+        self.note("occlusion ray", direction=given.direction, hidden=bool(hidden))
+
+    def occlude_group(self, given: Any, none: None, caller: FrameType) -> None:
+        """The occlusion ray of the one sample in the group."""
+        for i in range(given.count):
+            hidden = bool(given.group.found[i])
+            self.note("occlusion ray", direction=vec3(given.group.directions, i), hidden=hidden)
+
+    def pick(self, given: Any, picked: Any, caller: FrameType) -> None:
+        """Which light."""
+        self._probability = picked[1]
+
+    def _pick_by_light(self, given: Any, picked: Any, caller: FrameType) -> None:
+        """Which light, chosen by what each may send."""
+        self._probability = picked[1]
+
+    def sample_light(self, given: Any, sampled: Any, caller: FrameType) -> None:
+        """A point of a light: `pdf` per solid angle is that of a face, None for a point light."""
+        irradiance, direction, target = sampled
+        emitters, probability = self.scene.emitters, self._probability
+        self._probability = 1.0
+        if len(emitters.cdf) == 0:
+            return
+        pdf = None
+        if target >= 0:
+            square = dot(direction, direction)
+            cosine = -dot(vec3(self.scene.geometry.normals, target), direction) / math.sqrt(square)
+            area = emitters.area[list(emitters.face).index(target)]
+            pdf = probability * square / (area * cosine) if cosine > 0.0 else 0.0
+        self.note("light", way=direction, probability=probability, pdf=pdf, unhidden=irradiance)
+
+    def light_irradiance(self, given: Any, irradiance: Any, caller: FrameType) -> None:
+        """Light that arrives at a vertex of a diffuse path."""
+        if caller.f_code.co_name == "direct_path":
+            self.note("gain", throughput=caller.f_locals["throughput"], irradiance=irradiance)
+
+    def square_to_cosine_hemisphere(self, given: Any, local: Any, caller: FrameType) -> None:
+        """Where a diffuse path goes on."""
+        if caller.f_code.co_name == "direct_path":
+            self.note("diffuse direction", local=local, pdf=local.z / math.pi)
+
+    def sample_variant(self, given: Any, drawn: Any, caller: FrameType) -> None:
+        """A direction of the specular lobe, and its weight before gloss."""
+        wi, weight = drawn
+        pdf: float | None = _UNIFORM
+        if given.lobe == specular.VNDF and given.wo.z > 0.0:
+            pdf = pdf_lobe(wi, given.wo, given.alpha)
+        elif given.lobe in (specular.PAPER_CODE, specular.PAPER_CODE_NO_PI):
+            pdf = None
+        self.note("lobe direction", wo=given.wo, local=wi, pdf=pdf, weight=weight)
+
+    def sample_1d(self, given: Any, u: float, caller: FrameType) -> None:
+        """Roulette: a path and a chain read a number of its own dimension once `survival` is known."""
+        roulette = {"direct_path": direct.ROULETTE, "_chain": specular.ROULETTE}
+        if roulette.get(caller.f_code.co_name) == given.dimension:
+            survival = caller.f_locals["survival"]
+            self.note("roulette", survival=survival, u=u, survives=bool(u < survival))
+
+    def falloff(self, given: Any, weight: float, caller: FrameType) -> None:
+        """A photon within the kernel."""
+        if caller.f_code.co_name == "estimate_irradiance":
+            photon, photons = caller.f_locals["p"], caller.f_locals["photons"]
+            distance = photons.radius * math.sqrt(1.0 - given.rest)
+            power = vec3(photons.power, photon)
+            self._gathered.append(
+                {"photon": photon, "distance": distance, "weight": weight, "flux": _plain(power)}
+            )
+
+    def kernel_mass(self, given: Any, mass: float, caller: FrameType) -> None:
+        """What the kernel's integral over the surface is."""
+        self._mass = mass
+
+    def estimate_irradiance(self, given: Any, irradiance: Any, caller: FrameType) -> None:
+        """E by the photons within a radius."""
+        if len(given.photons.face):
+            self._photons(given.photons.radius, irradiance, mass=self._mass)
+
+    def _sift_up(self, given: Any, none: None, caller: FrameType) -> None:
+        """A photon among the nearest, while they are fewer than k."""
+        self._found = given.i + 1
+
+    def nearest_irradiance(self, given: Any, irradiance: Any, caller: FrameType) -> None:
+        """E by the k nearest photons."""
+        nearest = sorted(zip(given.heap[: self._found], given.chosen[: self._found], strict=True))
+        self._gathered = [
+            {
+                "photon": int(photon),
+                "distance": math.sqrt(square),
+                "flux": _plain(vec3(given.photons.power, photon)),
+            }
+            for square, photon in nearest
+        ]
+        radius = self._gathered[-1]["distance"] if nearest else 0.0
+        self._photons(radius, irradiance)
+
+    def _photons(self, radius: float, irradiance: Any, **values: Any) -> None:
+        flux = (
+            np.sum([photon["flux"] for photon in self._gathered], axis=0) if self._gathered else np.zeros(3)
+        )
+        count, gathered = len(self._gathered), self._gathered
+        self.note("photons", radius=radius, count=count, flux=flux, **values, irradiance=irradiance)
+        self.events[-1]["gathered"] = gathered
+        self._gathered, self._mass, self._found = [], None, 0
+
+    def accumulate(self, given: Any, none: None, caller: FrameType) -> None:
+        """What is added to the pixel."""
+        throughput = caller.f_locals.get("throughput")
+        self.note(
+            "adds", **({} if throughput is None else {"throughput": throughput}), radiance=given.radiance
+        )
+
+
+WATCHED: tuple[Callable[..., Any], ...] = (
+    camera.camera_ray,
+    film.accumulate,
+    surface._surface,
+    surface.shadowed,
+    surface.occluded,
+    surface.occlude_group,
+    ambient.sample_hemisphere,
+    ambient.sample_ambient,
+    lights.pick,
+    lights._pick_by_light,
+    lights.sample_light,
+    lights.light_irradiance,
+    warp.square_to_cosine_hemisphere,
+    specular.sample_variant,
+    sobol.sample_1d,
+    kernel_mass.falloff,
+    kernel_mass.kernel_mass,
+    photon_map.estimate_irradiance,
+    photon_search._sift_up,
+    photon_search.nearest_irradiance,
+)
+"""Functions whose calls are recorded, by the method of Recorder that has their name."""
+
+
+def _plain(value: Any) -> Any:
+    """Numbers, and lists of them."""
+    if isinstance(value, tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _watch(recorder: Recorder) -> None:
+    """Put a wrapper in the place of every watched function, wherever a module of `renderer` names it."""
+    wrapped = {function: _wrapped(function, getattr(recorder, function.__name__)) for function in WATCHED}
+    for name, module in list(sys.modules.items()):
+        if name.split(".")[0] == "renderer" and module is not sys.modules[__name__]:
+            for attribute, value in list(vars(module).items()):
+                if inspect.isfunction(value) and value in wrapped:
+                    setattr(module, attribute, wrapped[value])
+
+
+def _wrapped(function: Callable[..., Any], handler: Callable[..., None]) -> Callable[..., Any]:
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        result = function(*arguments)
+        handler(SimpleNamespace(**signature.bind(*arguments).arguments), result, sys._getframe(1))
+        return result
+
+    return call
+
+
+def main() -> None:
+    """Answer requests until there are no more; what is typed to interrupt the parent is the parent's affair."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    requests, answers = sys.stdin.buffer, sys.stdout.buffer
+    scene, term, name = pickle.load(requests)
+    recorder = Recorder(scene)
+    _watch(recorder)
+    driver, scratch = VARIANTS[term][name].driver, new_scratch()
+    assert driver is not None
+    inputs: tuple[Any, ...] = ()
+    while True:
+        try:
+            given, key, x, y, sample = pickle.load(requests)
+        except EOFError:
+            return
+        inputs = inputs if given is None else given
+        recorder.events = []
+        out = np.zeros((scene.camera.height, scene.camera.width, 3))
+        driver(scene, *inputs, key, np.array([[x, y, x + 1, y + 1, sample, sample + 1]]), out, scratch)
+        pickle.dump((recorder.events, out[y, x]), answers)
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main()
