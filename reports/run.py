@@ -13,6 +13,7 @@ import json
 import math
 import os
 import platform
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -27,7 +28,7 @@ from renderer import photon_map
 from renderer.plan import plan, skipped
 from renderer.terms import Variant, registered
 from renderer.tiles import Engine
-from reports import cells, closed_forms, exact, images, metrics, references, verdict
+from reports import cells, closed_forms, exact, images, metrics, references, stored, verdict
 from reports.cells import Cell
 from reports.convergence import (
     PREFIXES_NEEDED,
@@ -47,7 +48,6 @@ from scenes.model import Scene
 from scenes.store import PROJECT, cache_folder, sources_digest, write_atomically
 from scenes.terms import TERMS, TOTAL, Term, total
 
-SCHEMA = 1
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
 _RINGS = 8  # times the samples a pixel of other references
@@ -115,13 +115,13 @@ def versions() -> dict[str, str]:
 
 
 def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
-    """The results in `folder` if they are whole and belong to this very run."""
-    try:
-        results = json.loads((folder / "results.json").read_text("utf-8"))
-        whole = (folder / "results.nc").is_file() and (folder / "index.html").is_file()
-    except (OSError, ValueError):
+    """The results in `folder` if they are this very run's and no scene failed; a ValueError says what is damaged."""
+    if not (folder / "index.html").is_file() or not (folder / stored.NAME).is_file():
         return None
-    return results if whole and results.get("settings", {}).get("digest") == fingerprint else None
+    found = stored.read(folder)
+    stored.check_images(folder)
+    ended = found["settings"].get("digest") == fingerprint and not found.get("failed")
+    return found if ended else None
 
 
 def measure(
@@ -162,7 +162,9 @@ def measure(
         report(what, done, steps)
 
     found: dict[str, References] = {}
-    for subject in measured_subjects:
+
+    def measure_subject(subject: Subject) -> None:
+        nonlocal waiting, audits, extrapolations
         scene = subject.scene
         rendered = _references(study, subject, found.get(subject.unchanged.name), advance)
         found[scene.name] = rendered
@@ -207,13 +209,18 @@ def measure(
         )
         described[scene.name] = _describe(study, subject, measured)
         extrapolations += _extrapolations(study, subject, measured, rendered, advance)
+
+    failed = _each(measured_subjects, measure_subject)
+    waiting = [row for row in waiting if row.scene.name not in failed]
+    audits = [audit for audit in audits if audit.scene not in failed]
+    described = {scene: about for scene, about in described.items() if scene not in failed}
     for case in known:
         waiting += _exact_rows(study, case, lambda case=case: advance(f"{case.name}: {case.variant.name}"))
     tests = sum(_tests(row) for row in waiting if row.judged)
     audited = references.decide(audits)
     rows = [_decided(row, tests, audited) for row in waiting]
     results = {
-        "schema": SCHEMA,
+        "schema": stored.SCHEMA,
         "versions": versions(),
         "settings": {
             "study": name,
@@ -225,7 +232,7 @@ def measure(
             "machine": platform.machine(),
             "system": f"{platform.system()} {platform.release()}",
             "cores": os.cpu_count(),
-            "command": " ".join(["termwise", *sys.argv[1:]]),
+            "command": shlex.join(["termwise", *sys.argv[1:]]),
             "alpha": verdict.LEVEL,
             "tests": tests,
             "options": {
@@ -237,6 +244,7 @@ def measure(
             },
             "scenes": described,
         },
+        "failed": [{"scene": scene, "error": error} for scene, error in failed.items()],
         "cells": rows,
         "extrapolations": extrapolations,
         "audits": audited,
@@ -247,6 +255,31 @@ def measure(
     text = json.dumps(plain(results), indent=1, allow_nan=False)
     write_atomically(folder / "results.json", lambda path: path.write_text(text, "utf-8"))
     return results
+
+
+def _each(every: list[Subject], measure_subject: Callable[[Subject], None]) -> dict[str, str]:
+    """Measure each subject; returns those that failed, by scene, with the reason: the others' results stand.
+
+    What concerns the whole run is raised: a disk without room, the failure of all.
+    """
+    failed: dict[str, str] = {}
+    first: Exception | None = None
+    for subject in every:
+        name, unchanged = subject.scene.name, subject.unchanged.name
+        if unchanged in failed:
+            failed[name] = f"{unchanged}, which it changes, failed"
+            continue
+        try:
+            measure_subject(subject)
+        except OSError:
+            raise
+        except Exception as error:
+            first = first or error
+            reason = " ".join(str(error).split()).removeprefix(f"{name}: ")
+            failed[name] = reason if isinstance(error, ValueError) else f"{type(error).__name__}: {reason}"
+    if first is not None and len(failed) == len(every):
+        raise first
+    return failed
 
 
 def _limits(study: Study, subject: Subject) -> tuple[Limit, ...]:
@@ -362,6 +395,7 @@ def _rows(
                     statistics=at_own if last else None,
                     samples=cell.samples[p],
                     seconds=float(cell.seconds[:, p].sum()),
+                    replicate_seconds=cell.seconds[:, p].tolist() if last else None,
                     compile_seconds=cell.compile_seconds if last else None,
                     error=errors[p],
                     source=_described(own),
@@ -509,6 +543,7 @@ def _exact_rows(study: Study, case: Case, progress: Callable[[], object]) -> lis
                 statistics=verdict.measure(ours, reference, exact=True),
                 samples=cell.samples[-1],
                 seconds=float(cell.seconds[:, -1].sum()),
+                replicate_seconds=cell.seconds[:, -1].tolist() if judged else None,
                 source={"reference_samples": None, "reference_seconds": 0.0},
                 kind=case.variant.kind,
                 kernel=False,
@@ -548,6 +583,7 @@ def _total_rows(
         against["correct"] = [rendered.correct[term] for term in TERMS]
     means = {name: _luminance(summed(chosen)) for name, chosen in against.items()}
     right = means.get("correct", means["own"])
+    seconds = np.sum([cell.seconds[:, -1] for cell in default.values()], axis=0)
     rows = []
     for name, chosen in against.items():
         reference = summed(chosen)
@@ -560,7 +596,8 @@ def _total_rows(
                 scene,
                 statistics=compare(ours, reference, TOTAL),
                 samples=max(cell.samples[-1] for cell in default.values()),
-                seconds=float(sum(cell.seconds[:, -1].sum() for cell in default.values())),
+                seconds=float(seconds.sum()),
+                replicate_seconds=seconds.tolist() if name == "own" else None,
                 source=_described(*chosen),
                 limits=tuple(default[term].own for term in TERMS) if name == "own" else (),
                 kind=kind,
@@ -587,6 +624,7 @@ def _row(
     source: dict[str, Any],
     judged: bool,
     limits: tuple[Limit, ...] = (),
+    replicate_seconds: list[float] | None = None,
     compile_seconds: float | None = None,
     error: Estimate | None = None,
     **decide: Any,
@@ -606,6 +644,7 @@ def _row(
         "reference_replicates": len(reference),
         **source,
         "seconds": seconds,
+        "replicate_seconds": replicate_seconds,
         "compile_seconds": compile_seconds,
         **{name: math.sqrt(max(0.0, square)) for name, square in squares.items()},
         "relmse": None if black else float(np.mean([metrics.relative_mse(truth, image) for image in shown])),

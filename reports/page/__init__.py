@@ -18,8 +18,9 @@ import xarray
 from markupsafe import Markup, escape
 
 from renderer.terms import VARIANTS
-from reports import verdict
+from reports import stored, verdict
 from reports.page import charts, digits, method, pictures
+from reports.progress import Report, silent
 from scenes.store import write_atomically
 from scenes.terms import TERMS, TOTAL
 
@@ -47,13 +48,14 @@ _FIELDS = (
 _LISTS = "channels", "objects", "warnings", "reasons"
 
 
-def write(run: Path) -> Path:
-    """Write the pages of a finished run into its folder.
+def write(run: Path, *, report: Report = silent) -> Path:
+    """Write the pages of a finished run into its folder, and its rows as `results.csv`.
 
     Parameters
     ----------
     run : Path
         A folder that holds `results.json` and `results.nc`.
+    report : called with (what, done, of all) as pages come in.
 
     Returns
     -------
@@ -62,14 +64,11 @@ def write(run: Path) -> Path:
 
     Raises
     ------
-    FileNotFoundError
-        If one of the two files is missing.
     ValueError
-        If they are of another schema.
+        One of the two is missing, cut short or of another schema; the message says which.
     """
-    results = json.loads((run / "results.json").read_text("utf-8"))
-    if results.get("schema") != 1:
-        raise ValueError(f"{run / 'results.json'}: schema = {results.get('schema')!r}: allowed is 1")
+    results = stored.read(run)
+    stored.check_images(run)
     rows = [_complete(row) for row in results["cells"]]
     audits = results.get("audits", [])
     every = [
@@ -393,6 +392,7 @@ def page_environment() -> jinja2.Environment:
     environment.filters["breakable"] = lambda name: escape(name).replace("_", Markup("_<wbr>"))
     environment.filters["sentence"] = _sentence
     environment.filters["assignments"] = _assignments
+    environment.filters["digest"] = lambda text: re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1…", text)
     environment.globals["variant"] = method.find
     environment.globals["bar"] = _bar()
     return environment
@@ -410,10 +410,12 @@ def render_page(environment: jinja2.Environment, template: str, path: Path, **va
     write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
 
 
-def copy_static(run: Path) -> None:
-    """Style and scripts, shared by all pages."""
+def copy_static(run: Path, *, charts: bool = True) -> None:
+    """Style and scripts, shared by all pages; plotly's only where there are charts."""
     for path in sorted((_HERE / "static").iterdir()):
         write_atomically(run / path.name, lambda temporary, path=path: shutil.copyfile(path, temporary))
+    if not charts:
+        return
     script = run / "plotly.min.js"
     write_atomically(script, lambda temporary: temporary.write_text(plotly.offline.get_plotlyjs(), "utf-8"))
 
