@@ -2,7 +2,7 @@
 
 A row is a scene, a term and a variant, against its own limit at its largest sample count. Of each, B after A,
 
-    bias     δ_A, δ_B with standard errors           no change: ||δ_B| - |δ_A|| ≤ 0.1 %
+    bias     δ_A, δ_B with standard errors            no change: ||δ_B| - |δ_A|| ≤ 0.1 %
     error    ln RMSE_A, ln RMSE_B, by the jackknife   no change: |ln ratio| ≤ ln 1.01
     time     ln of the seconds of each replicate      no change: |ln ratio| ≤ ln 1.05
 
@@ -12,8 +12,11 @@ test). Runs that share a reference share its noise, which makes the test of bias
 all rows share one chance of 5 % of a false finding (Holm). A verdict that proves an error, where it was no error
 before, counts as worse: its test is that of its own run (`reports.verdict`).
 
-Times scatter with whatever else the machine does. The test knows the scatter within each run, not what was different
-between the hours of the two: where all rows are slower by one factor, which stands beside them, suspect the machine.
+Replicates of one estimate follow each other in milliseconds, so whatever else the machine does then slows them all
+alike, and Welch's t on them knows nothing of it: two runs of the same code, minutes apart, gave -61 ± 6 %. What the
+machine does shows in the other estimates of the two runs, of other variants: the variance of a change is Welch's and
+the mean square of their changes, and "slower" is what stands out of both. A factor that all share is never proven: it stands beside the
+rows, as their median, and benchmarks whose sides take turns tell it from the machine (`termwise bench`).
 """
 
 import math
@@ -24,10 +27,13 @@ import numpy as np
 from scipy import stats
 
 from reports.verdict import LEVEL, NO_VERDICT, TOLERATED_BIAS, WORDS
+from scenes.terms import TOTAL
 
 TOLERATED = {"bias": TOLERATED_BIAS, "error": 0.01, "time": 0.05}
 """Changes up to these are none, however sure: a bias of the mean, a share of the RMSE, of the seconds."""
 MEASURES = tuple(TOLERATED)
+OTHERS_NEEDED = 4
+"""Estimates beside one, for what the machine does to be told."""
 FINDINGS = ("worse", "better", "changed")
 """The gravest first; "changed" is said of verdicts alone."""
 FAILING = (*(wrong for wrong, _ in WORDS.values()), NO_VERDICT)
@@ -94,16 +100,19 @@ def diff(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
         `any_worse`: also where a scene fails in the second run alone.
     """
     old, new = _rows(before), _rows(after)
+    pairs = {key: (old[key], new[key]) for key in old if key in new}
+    times = _times(pairs)
     rows: list[dict[str, Any]] = [
         {
             "scene": key[0],
             "term": key[1],
             "variant": key[2],
-            "verdict": _verdict(old[key]["verdict"], new[key]["verdict"]),
-            **{name: test(old[key], new[key]) for name, test in _TESTS.items()},
+            "verdict": _verdict(*(row["verdict"] for row in pair)),
+            "bias": _bias(*pair),
+            "error": _error(*pair),
+            "time": times.get(key),
         }
-        for key in old
-        if key in new
+        for key, pair in pairs.items()
     ]
     tested = [row[name] for row in rows for name in MEASURES if row[name]]
     for change, p in zip(tested, holm([change["p"] for change in tested]), strict=True):
@@ -125,7 +134,7 @@ def diff(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
         "only_before": [list(key) for key in old if key not in new],
         "only_after": [list(key) for key in new if key not in old],
         "failed": failed,
-        "untested": _untested(old, new),
+        "untested": _untested(old, new, times),
         "time_median": float(np.median(ratios)) if ratios else None,
         "any_worse": any("worse" in each for each in found)
         or any(each["after"] and not each["before"] for each in failed),
@@ -195,17 +204,36 @@ def _error(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any] | No
     return _ratio("error", before["rmse"], after["rmse"], effect)
 
 
-def _time(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any] | None:
-    seconds = [np.array(row.get("replicate_seconds") or (), float) for row in (before, after)]
-    if any(len(each) < 2 or (each <= 0).any() for each in seconds):
-        return None
-    if not (_has_light(before, "seconds") and _has_light(after, "seconds")):
-        return None
-    a, b = (
-        (float(each.mean()), float(each.std(ddof=1) / math.sqrt(len(each))), len(each) - 1)
-        for each in map(np.log, seconds)
-    )
-    return _ratio("time", math.exp(a[0]), math.exp(b[0]), welch(a, b))
+def _times(pairs: dict[Key, tuple[dict[str, Any], dict[str, Any]]]) -> dict[Key, dict[str, Any]]:
+    """Changes of the seconds of a replicate; none where too few other estimates say what the machine does."""
+    logarithms: dict[Key, list[np.ndarray]] = {}
+    for key, rows in pairs.items():
+        seconds = [np.array(row.get("replicate_seconds") or (), float) for row in rows]
+        timed = all(len(each) > 1 and (each > 0).all() for each in seconds)
+        # Equal seconds are those of kept replicates, which were rendered once.
+        if (
+            timed
+            and all(_has_light(row, "seconds") for row in rows)
+            and seconds[0].tolist() != seconds[1].tolist()
+        ):
+            logarithms[key] = [np.log(each) for each in seconds]
+    effects = {key: welch(*map(_mean, pair)) for key, pair in logarithms.items()}
+    found = {}
+    for key, effect in effects.items():
+        # A change of the code changes its variant on all scenes; totals are the others once more.
+        others = [o.value for each, o in effects.items() if each[1:] != key[1:] and each[1] != TOTAL]
+        if len(others) < OTHERS_NEEDED:
+            continue
+        machine = 0.0, float(np.sqrt(np.mean(np.square(others)))), float(len(others))
+        widened = welch(machine, (effect.value, effect.standard_error, effect.dof))
+        before, after = (math.exp(each.mean()) for each in logarithms[key])
+        found[key] = _ratio("time", before, after, widened)
+    return found
+
+
+def _mean(values: np.ndarray) -> tuple[float, float, float]:
+    """Of independent values, its standard error and degrees of freedom."""
+    return float(values.mean()), float(values.std(ddof=1) / math.sqrt(len(values))), len(values) - 1.0
 
 
 def _ratio(name: str, before: float, after: float, effect: Effect) -> dict[str, Any]:
@@ -221,22 +249,23 @@ def _ratio(name: str, before: float, after: float, effect: Effect) -> dict[str, 
     }
 
 
-_TESTS = {"bias": _bias, "error": _error, "time": _time}
-
-
 def _has_light(row: dict[str, Any], field: str) -> bool:
     return row["verdict"] != "ABSENT" and bool(row.get("rmse")) and row.get(field) is not None
 
 
-def _untested(old: dict[Key, dict[str, Any]], new: dict[Key, dict[str, Any]]) -> list[str]:
+def _untested(
+    old: dict[Key, dict[str, Any]], new: dict[Key, dict[str, Any]], times: dict[Key, dict[str, Any]]
+) -> list[str]:
     """Why whole measures are not tested, a sentence each."""
     without = [
         name
         for name, rows in (("first", old), ("second", new))
         if not any(row.get("replicate_seconds") for row in rows.values())
     ]
-    which = " and the ".join(without)
-    return [f"time: the {which} run holds no seconds of single replicates"] if without else []
+    if without:
+        return [f"time: the {' and the '.join(without)} run holds no seconds of single replicates"]
+    few = f"time: fewer than {OTHERS_NEEDED + 1} estimates were timed anew in both runs"
+    return [] if times else [few]
 
 
 def _failed(before: dict[str, Any], after: dict[str, Any]) -> list[dict[str, Any]]:
