@@ -15,8 +15,9 @@ before, counts as worse: its test is that of its own run (`reports.verdict`).
 Replicates of one estimate follow each other in milliseconds, so whatever else the machine does then slows them all
 alike, and Welch's t on them knows nothing of it: two runs of the same code, minutes apart, gave -61 ± 6 %. What the
 machine does shows in the other estimates of the two runs, of other variants: the variance of a change is Welch's and
-the mean square of their changes, and "slower" is what stands out of both. A factor that all share is never proven: it stands beside the
-rows, as their median, and benchmarks whose sides take turns tell it from the machine (`termwise bench`).
+the mean square of their changes, and "slower" is what stands out of both. A factor that all share is never proven: it
+stands beside the rows, as their median, and benchmarks whose sides take turns tell it from the machine
+(`termwise bench`).
 """
 
 import math
@@ -279,7 +280,7 @@ def _failed(before: dict[str, Any], after: dict[str, Any]) -> list[dict[str, Any
 def _described(results: dict[str, Any]) -> dict[str, Any]:
     settings = results["settings"]
     return {
-        name: settings.get(name) for name in ("study", "seed", "command", "machine", "system", "cores")
+        name: settings.get(name) for name in ("study", "seed", "command", "processor", "machine", "system", "cores")
     } | {"versions": results["versions"]}
 
 
@@ -290,7 +291,7 @@ def _settings(
     new: dict[Key, dict[str, Any]],
 ) -> list[dict[str, Any]]:
     """Differences of what the two runs were told, and by what they were made."""
-    names = "study", "seed", "backend", "machine", "system", "cores", "alpha"
+    names = "study", "seed", "backend", "processor", "machine", "system", "cores", "alpha"
     flat = []
     for results in (before, after):
         settings = results["settings"]

@@ -29,6 +29,7 @@ from renderer.plan import plan, skipped
 from renderer.terms import Variant, registered
 from renderer.tiles import Engine
 from reports import cells, closed_forms, exact, images, metrics, references, stored, verdict
+from reports.bench.common import processor
 from reports.cells import Cell
 from reports.convergence import (
     PREFIXES_NEEDED,
@@ -229,6 +230,7 @@ def measure(
             "seed": study.seed,
             "backend": chosen.variant,
             "backend_reason": chosen.reason,
+            "processor": processor(),
             "machine": platform.machine(),
             "system": f"{platform.system()} {platform.release()}",
             "cores": os.cpu_count(),
