@@ -280,7 +280,8 @@ def _failed(before: dict[str, Any], after: dict[str, Any]) -> list[dict[str, Any
 def _described(results: dict[str, Any]) -> dict[str, Any]:
     settings = results["settings"]
     return {
-        name: settings.get(name) for name in ("study", "seed", "command", "processor", "machine", "system", "cores")
+        name: settings.get(name)
+        for name in ("study", "seed", "command", "processor", "machine", "system", "cores")
     } | {"versions": results["versions"]}
 
 
