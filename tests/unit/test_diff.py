@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def test_welch_is_scipys():
     rng = np.random.default_rng(1)
     a, b = rng.normal(0, 1, 7), rng.normal(0.8, 3, 12)
     effect = diff.welch(diff._mean(a), diff._mean(b))
-    expected = stats.ttest_ind(b, a, equal_var=False)
+    expected: Any = stats.ttest_ind(b, a, equal_var=False)
     assert effect.dof == pytest.approx(expected.df)
     assert effect.p(0.0) == pytest.approx(expected.pvalue)
     assert effect.interval() == pytest.approx(tuple(expected.confidence_interval(0.9)))

@@ -2,9 +2,11 @@
 
 import re
 import xml.etree.ElementTree as ElementTree
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from reports import figure
 
@@ -54,20 +56,26 @@ def test_files_are_of_column_width_with_their_fonts(kind, tmp_path):
     assert b"/Subtype /Image" not in pdf
 
 
+def lines_of(panel: Axes, *, dense: bool) -> list[tuple[np.ndarray, np.ndarray]]:
+    """x and y of each fitted curve, or of each series of marks."""
+    found = []
+    for line in panel.lines:
+        x, y = (np.asarray(values, float) for values in (line.get_xdata(), line.get_ydata()))
+        if len(x) > len(SAMPLES) if dense else len(x) and line.get_linestyle() == "None":
+            found.append((x, y))
+    return found
+
+
 def test_convergence_draws_every_variant_against_samples_and_seconds():
+    """One sample takes one second here, so both panels hold the same points."""
     drawn = figure.convergence(CELLS, "room: direct")
-    samples, seconds = drawn.axes
-    for panel, scale in ((samples, 1.0), (seconds, 1.0)):
-        marked = [line for line in panel.lines if line.get_linestyle() == "None" and len(line.get_xdata())]
-        assert len(marked) == 2
-        for line, level in zip(marked, (0.2, 0.3), strict=True):
-            np.testing.assert_allclose(line.get_xdata(), scale * np.array(SAMPLES))
-            np.testing.assert_allclose(line.get_ydata(), np.sqrt(1e-4 + level**2 / np.array(SAMPLES)))
-        curves = [line for line in panel.lines if len(line.get_xdata()) > len(SAMPLES)]
-        for line, level in zip(curves, (0.2, 0.3), strict=True):
-            np.testing.assert_allclose(
-                line.get_ydata(), np.sqrt(1e-4 + level**2 / line.get_xdata()), rtol=1e-9
-            )
+    for panel in drawn.axes:
+        marked, fits = lines_of(panel, dense=False), lines_of(panel, dense=True)
+        assert len(marked) == len(fits) == 2
+        for level, (x, y), (dense, fit) in zip((0.2, 0.3), marked, fits, strict=True):
+            assert x.tolist() == SAMPLES
+            np.testing.assert_allclose(y, np.sqrt(1e-4 + level**2 / x))
+            np.testing.assert_allclose(fit, np.sqrt(1e-4 + level**2 / dense), rtol=1e-9)
     (legend,) = drawn.legends
     assert [text.get_text() for text in legend.get_texts()] == [
         "path ($a$ = 1.00)",
@@ -78,14 +86,16 @@ def test_convergence_draws_every_variant_against_samples_and_seconds():
 
 def test_series_differ_in_more_than_colour():
     drawn = figure.convergence(CELLS, "room: direct")
-    marks = {line.get_marker() for line in drawn.axes[0].lines if line.get_marker() != "None"}
-    dashes = {line.get_linestyle() for line in drawn.axes[0].lines if len(line.get_xdata()) > len(SAMPLES)}
+    lines = drawn.axes[0].lines
+    marks = {str(line.get_marker()) for line in lines} - {"None"}
+    dashes = {str(line.get_linestyle()) for line in lines if line.get_color() != "0.5"} - {"None"}
     assert len(marks) == len(dashes) == 2
 
 
 def test_waterfall_stands_one_part_upon_the_other():
     (panel,) = figure.waterfall(CELLS, "room: direct").axes
-    bars = [(bar.get_y(), bar.get_y() + bar.get_height()) for bar in panel.patches]
+    drawn: list[Any] = list(panel.patches)
+    bars = [(bar.get_y(), bar.get_y() + bar.get_height()) for bar in drawn]
     np.testing.assert_allclose(bars, [(0, 4), (4, 3), (3, 3.5), (3.5, 5.5), (0, 5.5)])
 
 
