@@ -280,7 +280,7 @@ def _each(every: list[Subject], measure_subject: Callable[[Subject], None]) -> d
             reason = " ".join(str(error).split()).removeprefix(f"{name}: ")
             failed[name] = reason if isinstance(error, ValueError) else f"{type(error).__name__}: {reason}"
     if first is not None and len(failed) == len(every):
-        raise first
+        raise ValueError(": ".join(next(iter(failed.items())))) from first
     return failed
 
 
