@@ -2,7 +2,7 @@
 
 Point light of intensity I: `E = I cos(theta) / d²`. Face of radiance L and area A, uniform point on it:
 `E = L cos(theta) cos(theta') A / d²`, the front side of the face only. Divided by the probability of the pick.
-Unbiased at any count.
+Unbiased at any count: what may light the point has a probability above 0.
 """
 
 import math
@@ -14,7 +14,7 @@ from renderer.jit import device
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler, sample_1d, sample_2d
 from renderer.surface import Surface, occluded, point_on_face
-from renderer.vector import Vec3, dot, entry, is_black, length, scale, sub, vec3
+from renderer.vector import Vec3, add, dot, entry, is_black, length, scale, sub, vec3
 from renderer.warp import INV_PI, square_to_triangle
 
 
@@ -34,6 +34,58 @@ def pick(cdf: np.ndarray, u: float) -> tuple[int, float]:
 
 
 @device
+def _bound(scene: SceneArrays, surface: Surface, index: int) -> float:
+    """About what an emitter sends to a surface were it not hidden; 0 only where no point of it can.
+
+    A face counts as if all of it stood at its centre, a little farther away, and as if the cosine at the surface were a
+    tenth at least.
+    """
+    emitters = scene.emitters
+    points = len(emitters.point)
+    if index < points:
+        offset = sub(vec3(emitters.point, index), surface.point)
+        cosine = dot(surface.normal, offset)
+        if cosine <= 0.0:
+            return 0.0
+        square = dot(offset, offset)
+        return emitters.strength[index] * cosine / (square * math.sqrt(square))
+    face = entry(emitters.face, index - points)
+    a = sub(point_on_face(scene.geometry, face, 0.0, 0.0), surface.point)
+    b = sub(point_on_face(scene.geometry, face, 1.0, 0.0), surface.point)
+    c = sub(point_on_face(scene.geometry, face, 0.0, 1.0), surface.point)
+    before = -dot(vec3(scene.geometry.normals, face), a)
+    above = max(dot(surface.normal, a), dot(surface.normal, b), dot(surface.normal, c))
+    if before <= 0.0 or above <= 0.0:
+        return 0.0
+    centre = scale(add(add(a, b), c), 1.0 / 3.0)
+    square = dot(centre, centre) + emitters.area[index - points]
+    distance = math.sqrt(square)
+    cosine = max(dot(surface.normal, centre) / distance, 0.1)
+    return emitters.strength[index] * cosine * before / (square * distance)
+
+
+@device
+def _pick_by_light(scene: SceneArrays, surface: Surface, u: float) -> tuple[int, float]:
+    """Index of an emitter and the probability of picking it, by `_bound`; probability 0 where none lights the point."""
+    count = len(scene.emitters.cdf)
+    total = 0.0
+    for index in range(count):
+        total += _bound(scene, surface, index)
+    if not total > 0.0:
+        return 0, 0.0
+    left = u * total
+    last, its = 0, 0.0
+    for index in range(count):
+        bound = _bound(scene, surface, index)
+        if bound > 0.0:
+            last, its = index, bound
+            if left < bound:
+                break
+            left -= bound
+    return last, its / total
+
+
+@device
 def sample_light(
     scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int
 ) -> tuple[Vec3, Vec3, int]:
@@ -47,7 +99,11 @@ def sample_light(
         return black, black, -1
     index = 0
     probability = 1.0
-    if len(emitters.cdf) > 1:
+    if scene.pick_by_light:
+        index, probability = _pick_by_light(scene, surface, sample_1d(sampler, dimension))
+        if probability == 0.0:
+            return black, black, -1
+    elif len(emitters.cdf) > 1:
         index, probability = pick(emitters.cdf, sample_1d(sampler, dimension))
     points = len(emitters.point)
     target = -1

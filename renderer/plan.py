@@ -12,7 +12,7 @@ from typing import Literal
 import attrs
 import numpy as np
 
-from renderer.arrays import FAINT, emitters_of
+from renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of
 from renderer.openness import open_sides
 from renderer.photon_map import KEPT_BYTES
 from renderer.terms.variant import Chain, Stored, Variant
@@ -318,12 +318,23 @@ def _roulette(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     return f"chains of a throughput t below {FAINT:g} go on with probability t / {FAINT:g}"
 
 
+def _lights(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    count = len(emitters_of(scene).cdf)
+    samples_lights = variant.name in ("next-event", "path") or (
+        variant.term == "specular" and chain != "paper"
+    )
+    if not FEW_EMITTERS < count <= MANY_EMITTERS or not samples_lights or skipped(scene, variant.term):
+        return None
+    return f"one of {count} emitters is chosen by what it may send to the point"
+
+
 ECONOMIES: dict[str, Economy] = {
     economy.name: economy
     for economy in (
         Economy(
             "aimed", "photons that meet nothing", "those in the cone around the scene carry its flux", _aimed
         ),
+        Economy("lights", "samples of far lights", "each is as likely as its light at the point", _lights),
         Economy("roulette", "faint chains", "those that go on carry the light of all", _roulette),
     )
 }
@@ -425,6 +436,7 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
             steps.append(Step(term, "sky texture", "runs", f"{scene.sky.projection}, bilinear"))
     if "throughput" in applied:
         skip("throughput", "black chains")
-    if "roulette" not in without and (reason := ECONOMIES["roulette"].reason(scene, variant, chain)):
-        steps.append(Step(term, ECONOMIES["roulette"].work, "economy", reason))
+    for name in ("lights", "roulette"):
+        if name not in without and (reason := ECONOMIES[name].reason(scene, variant, chain)):
+            steps.append(Step(term, ECONOMIES[name].work, "economy", reason))
     return steps

@@ -716,7 +716,7 @@ def economies(
     scene
         two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
     economy
-        aimed, roulette, adaptive; all if none.
+        aimed, lights, roulette, adaptive; all if none.
     resolution
         Pixels of a side of the square image.
     batches

@@ -9,6 +9,8 @@ meets the surface at equal angles, so a chain of bounces is a power of T. NumPy 
 Sources: as in `renderer.microfacet`; restated here, because a prediction may not share the code that it judges.
 """
 
+import functools
+
 import numpy as np
 from scipy import special
 
@@ -21,11 +23,17 @@ def resolution(roughness: float) -> int:
     return int(np.clip(60.0 / roughness, 300, 3000))
 
 
+@functools.cache
+def legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss and Legendre's nodes and weights in (-1, 1), kept: thousands of them take seconds to find."""
+    return special.roots_legendre(count)
+
+
 def cosine_nodes(limit: Limit, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Cosines mu_i in (0, 1) and their weights: the paper's rings, or `count` of a rule for the integral."""
     if limit.rings is not None:
         return np.arange(1, limit.rings + 1) / (limit.rings + 1), np.full(limit.rings, 1 / limit.rings)
-    x, w = np.polynomial.legendre.leggauss(count)
+    x, w = legendre(count)
     # Quadratic at the upper end, where a narrow lobe at normal view stands.
     t = (x + 1) / 2
     return 1 - (1 - t) ** 2, w * (1 - t)
@@ -86,7 +94,7 @@ def gain(limit: Limit, material: Material) -> float:
 
     `gloss (diffuse + lobe A)`, A averaged over the hemisphere with the cosine: the gain of isotropic light.
     """
-    x, w = np.polynomial.legendre.leggauss(12)
+    x, w = legendre(12)
     mu = (x + 1) / 2
     means = np.array([albedo(limit, material, float(each)).max() for each in mu])
     return float(material.gloss * np.sum(w / 2 * 2 * mu * means))

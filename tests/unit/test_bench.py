@@ -100,7 +100,7 @@ def test_spread_is_median_and_ends():
         (["scaling", "--axis", "depth"], ["axis = 'depth'", "triangles", "threads"]),
         (["scaling", "--runs", "0"], ["runs = 0", "at least 1"]),
         (["scaling", "--threads", "-2"], ["threads = -2", "at least 1"]),
-        (["economies", "--economy", "thrift"], ["economy = 'thrift'", "aimed, roulette, adaptive"]),
+        (["economies", "--economy", "thrift"], ["economy = 'thrift'", "aimed, lights, roulette, adaptive"]),
         (["economies", "--scene", "teapot"], ["scene = 'teapot'", "two_cubes", "monkey"]),
         (["economies", "--batches", "0"], ["batches = 0", "at least 1"]),
         (["rays", "--mesh", "teapot"], ["mesh = 'teapot'", "boxes"]),
