@@ -1,26 +1,30 @@
-"""The command `termwise`: compare, judge, inspect, replay, render, reference, plan, scenes, bench.
+"""The command `termwise`: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, bench.
 
-Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`); 2: bad input, or a run that
-could not end. With --json one object goes to standard output, all else to standard error.
+Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`; of `diff`, something became
+worse); 2: bad input, or a run, or one of its scenes, that could not end. With --json one object goes to standard
+output, all else to standard error.
 """
 
+import functools
 import importlib.metadata
 import json
 import re
 import runpy
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import attrs
 import cyclopts
 import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from reports import progress
+from reports.progress import Report
 from scenes.load import library, load
 from scenes.strict import FileError
 from scenes.terms import TERMS
@@ -63,6 +67,7 @@ bench = cyclopts.App(name="bench", help="Measure speed beside Mitsuba's, both in
 app.command(bench)
 
 Json = Annotated[bool, Parameter(negative="", help="One JSON object on standard output.")]
+Quiet = Annotated[bool, Parameter(negative="", help="No progress on standard error.")]
 
 
 @app.command
@@ -70,9 +75,11 @@ def compare(
     *scenes: str,
     study: str = "standard",
     budget: Annotated[float | None, Parameter(converter=_duration, n_tokens=1)] = None,
+    seed: Annotated[int | None, _whole] = None,
     estimators: Path | None = None,
     out: Path = Path("out"),
     backend: str | None = None,
+    quiet: Quiet = False,
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
     """Render scenes with ours and with Mitsuba, judge every term, write the report.
@@ -86,14 +93,18 @@ def compare(
     budget
         Seconds of rendering (90, 90s, 2m, 1h), ours and Mitsuba's together: rows that the study leaves undecided get
         2, 4, 8 times its replicates, until they are decided or the budget is spent.
+    seed
+        Instead of the study's: the whole run again with other random numbers.
     estimators
         A Python file that calls `termwise.register`: what it registers is measured too.
     out
         The report goes to OUT/compare, or to the folder that the study names.
     backend
         Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given.
+    quiet
+        No progress on standard error.
     json_
-        Print results.json on standard output.
+        Print results.json on standard output; no progress.
     """
     from reports import page, run, subjects
     from reports import study as studies
@@ -104,16 +115,17 @@ def compare(
     chosen = studies.with_registered(studies.load(study))
     if budget is not None:
         chosen = attrs.evolve(chosen, budget=budget)
+    if seed is not None:
+        chosen = attrs.evolve(chosen, seed=seed)
     prepared = subjects.scenes_of(chosen, scenes)
     folder = _folder(out / chosen.folder)
-    results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
+    try:
+        results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
+    except ValueError as error:
+        _messages.print(f"termwise: {error}; it is written again", highlight=False, markup=False)
+        results = None
     if results is None:
-        with _progress() as bar:
-            task = bar.add_task("starting", total=None)
-
-            def report(what: str, done: int, total: int) -> None:
-                bar.update(task, description=what, completed=done, total=total)
-
+        with progress.stages(_messages, quiet=quiet or json_) as stage:
             named = {
                 scene.name: given for scene, given in zip(prepared, scenes or chosen.scenes, strict=True)
             }
@@ -122,11 +134,11 @@ def compare(
                 prepared,
                 folder,
                 name=Path(study).stem,
-                report=report,
+                report=stage("Measuring"),
                 arguments={"study": study, "scenes": named},
             )
-        page.write(folder)
-    else:
+            page.write(folder, report=stage("Pages"))
+    elif not quiet:
         _messages.print("Nothing has changed since the last run: no cell was computed.")
     index = folder / "index.html"
     if json_:
@@ -134,6 +146,10 @@ def compare(
     else:
         _print_results(results)
         _output.print(f"\nReport: {index.resolve()}", soft_wrap=True)
+    for each in results["failed"]:
+        _fail(f"{each['scene']}: failed, and stands in no row: {each['error']}")
+    if results["failed"]:
+        return 2
     return 1 if run.failures(results) else 0
 
 
@@ -142,6 +158,76 @@ def _run_file(path: Path) -> None:
     if not path.is_file():
         raise FileError(f"{path}: no such file: allowed is a Python file that calls termwise.register")
     runpy.run_path(str(path), run_name=path.stem)
+
+
+@app.command
+def diff(
+    run_a: Path,
+    run_b: Path,
+    *,
+    out: Path = Path("out"),
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Say what changed from one run to another in verdict, bias, error and time, with a test before "worse" is said.
+
+    Parameters
+    ----------
+    run_a
+        The folder of a finished run: what was before.
+    run_b
+        Another: what is now.
+    out
+        The page goes to OUT/diff.
+    json_
+        Print the differences as JSON on standard output.
+    """
+    from reports import stored
+    from reports.diff import diff as compared
+    from reports.page import diff as page
+
+    found = compared(stored.read(run_a), stored.read(run_b)) | {
+        "runs": [str(run_a), str(run_b)],
+        "command": _command(),
+    }
+    folder = _folder(out / "diff")
+    index = page.write(found, folder)
+    if json_:
+        print(json.dumps(found))
+    else:
+        _print_diff(found)
+        _output.print(f"\nReport: {index.resolve()}", soft_wrap=True)
+    return 1 if found["any_worse"] else 0
+
+
+@app.command
+def figure(
+    run: Path,
+    *,
+    scene: str,
+    term: str,
+    kind: Literal["convergence", "waterfall"] = "convergence",
+    out: Path,
+) -> int:
+    """Draw a chart of a finished run for print: vectors, 85 mm wide, legible in grey.
+
+    Parameters
+    ----------
+    run
+        The folder of a finished run.
+    scene, term
+        Of the chart.
+    kind
+        convergence: error against samples and seconds; waterfall: the parts of the error against full light
+        transport.
+    out
+        The file to write, .pdf or .svg.
+    """
+    from reports import figure as figures
+    from reports import stored
+
+    figures.write(stored.read(run), scene=scene, term=term, kind=kind, path=out)
+    _output.print(str(out), soft_wrap=True, highlight=False)
+    return 0
 
 
 @app.command
@@ -191,7 +277,7 @@ def judge(
         names=[str(path) for path in files["images"]],
         reference_names=[str(path) for path in files["reference"]],
         exposure=exposure,
-        command=" ".join(["termwise", *sys.argv[1:]]),
+        command=_command(),
     )["verdict"]
     index = page.write(folder)
     for warning in outcome["warnings"]:
@@ -645,6 +731,7 @@ def rays(
     count: Integer = 2**19,
     threads: Annotated[int | None, _whole] = None,
     out: Path = Path("out"),
+    quiet: Quiet = False,
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
     """Trace the same rays with ours and with Mitsuba's Embree, in alternating pairs.
@@ -661,6 +748,8 @@ def rays(
         Threads of each side; one per core if not given.
     out
         The numbers go to OUT/bench/rays.json.
+    quiet
+        No progress on standard error.
     json_
         Print them on standard output.
     """
@@ -672,6 +761,7 @@ def rays(
         lambda report: bench_rays.measure(
             threads=threads, pairs=pairs, count=count, only=tuple(mesh or ()), report=report
         ),
+        quiet=quiet or json_,
     )
     if json_:
         print(json.dumps(measured))
@@ -715,6 +805,7 @@ def terms(
     seconds: float = 0.5,
     threads: Annotated[int | None, _whole] = None,
     out: Path = Path("out"),
+    quiet: Quiet = False,
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
     """Measure seconds to equal error, ours beside Mitsuba's best setting, term by term.
@@ -735,6 +826,8 @@ def terms(
         Threads of each side; one per core if not given.
     out
         The numbers go to OUT/bench/terms.json.
+    quiet
+        No progress on standard error.
     json_
         Print them on standard output.
     """
@@ -752,6 +845,7 @@ def terms(
             threads=threads,
             report=report,
         ),
+        quiet=quiet or json_,
     )
     if json_:
         print(json.dumps(measured))
@@ -798,6 +892,7 @@ def scaling(
     runs: Integer = 5,
     threads: Annotated[int | None, _whole] = None,
     out: Path = Path("out"),
+    quiet: Quiet = False,
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
     """Measure what one more triangle, pixel, sample, photon or thread costs, and memory.
@@ -812,6 +907,8 @@ def scaling(
         The most threads; one per core if not given.
     out
         The numbers go to OUT/bench/scaling.json.
+    quiet
+        No progress on standard error.
     json_
         Print them on standard output.
     """
@@ -823,6 +920,7 @@ def scaling(
         lambda report: bench_scaling.measure(
             axes=tuple(axis or ()), runs=runs, threads=threads, report=report
         ),
+        quiet=quiet or json_,
     )
     if json_:
         print(json.dumps(measured))
@@ -858,6 +956,7 @@ def economies(
     batches: Integer = 4,
     threads: Annotated[int | None, _whole] = None,
     out: Path = Path("out"),
+    quiet: Quiet = False,
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
     """Measure what each economy is worth at equal error, and that it shifts no mean.
@@ -876,6 +975,8 @@ def economies(
         Threads; one per core if not given.
     out
         The numbers go to OUT/bench/economies.json.
+    quiet
+        No progress on standard error.
     json_
         Print them on standard output.
     """
@@ -892,6 +993,7 @@ def economies(
             threads=threads,
             report=report,
         ),
+        quiet=quiet or json_,
     )
     failed = [case for case in measured["cases"] if case["verdict"] in _PROVEN]
     if json_:
@@ -931,20 +1033,15 @@ def economies(
 
 
 def _measured(
-    folder: Path, name: str, measure: Callable[[Callable[[str, int, int], None]], dict[str, Any]]
+    folder: Path, name: str, measure: Callable[[Report], dict[str, Any]], *, quiet: bool
 ) -> dict[str, Any]:
-    """Run a benchmark under a bar of progress; its numbers go to the folder with the command, and onto its page."""
+    """Run a benchmark and show its progress; its numbers go to the folder with the command, and onto its page."""
     from reports.page import bench as page
 
     _folder(folder)
-    with _progress() as bar:
-        task = bar.add_task("starting", total=None)
-
-        def report(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
-
-        measured = measure(report)
-    measured["command"] = " ".join(["termwise", *sys.argv[1:]])
+    with progress.stages(_messages, quiet=quiet) as stage:
+        measured = measure(stage(name.capitalize()))
+    measured["command"] = _command()
     (folder / f"{name}.json").write_text(json.dumps(measured, indent=1), "utf-8")
     page.write(folder)
     return measured
@@ -1055,16 +1152,78 @@ def _write_images(
     return 0
 
 
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=_messages,
-        transient=True,
-        disable=not _messages.is_terminal,
+def _command() -> str:
+    """What was typed, fit to be typed again."""
+    return shlex.join(["termwise", *sys.argv[1:]])
+
+
+_FINDINGS = {"worse": "red", "better": "green", "changed": "yellow"}
+
+
+def _print_diff(found: dict[str, Any]) -> None:
+    """Differences of settings, then what is proven, then every row."""
+    say = functools.partial(_output.print, highlight=False, soft_wrap=True)
+    for each in found["settings"]:
+        say(f"{each['name']}: {_plain(each['before'])} -> {_plain(each['after'])}", markup=False)
+    if not found["settings"]:
+        say("Settings: the same.")
+    for each in found["failed"]:
+        was = "failed before too" if each["before"] and each["after"] else "failed"
+        say(
+            f"{each['scene']}: {was if each['after'] else 'failed before'}: {each['after'] or each['before']}"
+        )
+    for scene in dict.fromkeys(row["scene"] for row in found["rows"]):
+        # 80 columns hold it: what is not a terminal has no more.
+        table = Table(
+            *("term", "variant", "bias", "RMSE", "time", "verdict"),
+            title=f"\n[bold]{scene}",
+            title_justify="left",
+            box=None,
+            padding=(0, 1, 0, 0),
+            pad_edge=False,
+        )
+        for row in found["rows"]:
+            if row["scene"] == scene:
+                changes = [_change(name, row[name]) for name in ("bias", "error", "time")]
+                table.add_row(row["term"], row["variant"], *changes, _verdicts(row["verdict"]))
+        _output.print(table)
+    for which, keys in (("first", found["only_before"]), ("second", found["only_after"])):
+        if keys:
+            say(f"\nOnly in the {which} run: {', '.join(' '.join(key) for key in keys)}", markup=False)
+    say(
+        "\nBias: difference in percentage points; RMSE and time: in percent; 90 % intervals. Coloured where proven by "
+        f"{found['tests']} tests at {found['level']:.0%} together (Holm), beyond "
+        f"{found['tolerated']['bias']:.1%}, {found['tolerated']['error']:.0%} and {found['tolerated']['time']:.0%}."
     )
+    for sentence in found["untested"]:
+        say(f"Not tested: {sentence}.")
+    if found["time_median"] is not None:
+        say(f"Seconds, median over all rows: {found['time_median']:.2f} times as many.")
+    say(f"[bold]Worse: {found['worse']} of {len(found['rows'])} rows; better: {found['better']}.[/bold]")
+
+
+def _change(measure: str, change: dict[str, Any] | None) -> str:
+    """A change and half its interval, named and coloured where it is proven."""
+    from reports.diff import said
+
+    if change is None:
+        return ""
+    half = max(change["high"] - change["change"], change["change"] - change["low"])
+    text = f"{100 * change['change']:+.2f} ± {100 * half:.2f}"
+    finding = change["finding"]
+    return f"[{_FINDINGS[finding]}]{text} {said(measure, finding)}[/]" if finding else text
+
+
+def _verdicts(verdict: dict[str, Any]) -> str:
+    before, after = (verdict[name] or "NOT JUDGED" for name in ("before", "after"))
+    finding = verdict["finding"]
+    return f"{before} -> [{_FINDINGS[finding]}]{after}[/]" if finding else after
+
+
+def _plain(value: Any) -> str:
+    """A setting in a word or two; a digest by its first digits."""
+    text = "none" if value is None else ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return text[:12] if len(text) == 64 and " " not in text else text
 
 
 _SHOWN_PLACES, _SHOWN_ROWS = 4, 6

@@ -14,6 +14,7 @@ import json
 import math
 import os
 import platform
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -37,9 +38,11 @@ from reports import (
     metrics,
     references,
     sequential,
+    stored,
     tiles,
     verdict,
 )
+from reports.bench.common import processor
 from reports.cells import Cell
 from reports.convergence import (
     PREFIXES_NEEDED,
@@ -60,7 +63,6 @@ from scenes.model import Scene
 from scenes.store import PROJECT, cache_folder, sources_digest, write_atomically
 from scenes.terms import TERMS, TOTAL, Term, total
 
-SCHEMA = 1
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
 _RINGS = 8  # times the samples a pixel of other references
@@ -130,13 +132,13 @@ def versions() -> dict[str, str]:
 
 
 def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
-    """The results in `folder` if they are whole and belong to this very run."""
-    try:
-        results = json.loads((folder / "results.json").read_text("utf-8"))
-        whole = (folder / "results.nc").is_file() and (folder / "index.html").is_file()
-    except (OSError, ValueError):
+    """The results in `folder` if they are this very run's and no scene failed; a ValueError says what is damaged."""
+    if not (folder / "index.html").is_file() or not (folder / stored.NAME).is_file():
         return None
-    return results if whole and results.get("settings", {}).get("digest") == fingerprint else None
+    found = stored.read(folder)
+    stored.check_images(folder)
+    ended = found["settings"].get("digest") == fingerprint and not found.get("failed")
+    return found if ended else None
 
 
 def measure(
@@ -181,15 +183,20 @@ def measure(
     described: dict[str, Any] = {}
     groups: list[_Group] = []
     audits: list[references.Audit] = []
-    for subject in measured_subjects:
+
+    def measure_subject(subject: Subject) -> None:
         scene_name = subject.scene.name
         source = sources[scene_name] = _Source(takes, subject, sources.get(subject.unchanged.name))
         measured = source.measure()
-        groups += source.groups(measured)
-        audits += source.audits()
+        made, checked = source.groups(measured), source.audits()
         pictures.write(subject, measured, *source.images(), source.objects, versions())
         described[scene_name] = _describe(study, subject, measured)
-        extrapolations += _extrapolations(takes, subject, source.rendered)
+        extrapolations.extend(_extrapolations(takes, subject, source.rendered))
+        groups.extend(made)
+        audits.extend(checked)
+
+    failed = _each(measured_subjects, measure_subject)
+    described = {scene: about for scene, about in described.items() if scene not in failed}
     groups += [_exact_group(takes, case) for case in known]
     tests = sum(_tests(row) for group in groups for row in group.rows if row.judged)
     audited = references.decide(audits)
@@ -213,7 +220,7 @@ def measure(
         if any(row["verdict"] in _CERTIFIED for row in found)
     ]
     results = {
-        "schema": SCHEMA,
+        "schema": stored.SCHEMA,
         "versions": versions(),
         "settings": {
             "study": name,
@@ -222,10 +229,11 @@ def measure(
             "seed": study.seed,
             "backend": chosen.variant,
             "backend_reason": chosen.reason,
+            "processor": processor(),
             "machine": platform.machine(),
             "system": f"{platform.system()} {platform.release()}",
             "cores": os.cpu_count(),
-            "command": " ".join(["termwise", *sys.argv[1:]]),
+            "command": shlex.join(["termwise", *sys.argv[1:]]),
             "arguments": arguments or {"study": name, "scenes": {}},
             "alpha": verdict.LEVEL,
             "tests": tests,
@@ -249,6 +257,7 @@ def measure(
             },
             "scenes": described,
         },
+        "failed": [{"scene": scene, "error": error} for scene, error in failed.items()],
         "cells": rows,
         "extrapolations": extrapolations,
         "audits": audited,
@@ -266,6 +275,31 @@ def measure(
     text = json.dumps(plain(results), indent=1, allow_nan=False)
     write_atomically(folder / "results.json", lambda path: path.write_text(text, "utf-8"))
     return results
+
+
+def _each(every: list[Subject], measure_subject: Callable[[Subject], None]) -> dict[str, str]:
+    """Measure each subject; returns those that failed, by scene, with the reason: the others' results stand.
+
+    What concerns the whole run is raised: a disk without room, the failure of all.
+    """
+    failed: dict[str, str] = {}
+    first: Exception | None = None
+    for subject in every:
+        name, unchanged = subject.scene.name, subject.unchanged.name
+        if unchanged in failed:
+            failed[name] = f"{unchanged}, which it changes, failed"
+            continue
+        try:
+            measure_subject(subject)
+        except OSError:
+            raise
+        except Exception as error:
+            first = first or error
+            reason = " ".join(str(error).split()).removeprefix(f"{name}: ")
+            failed[name] = reason if isinstance(error, ValueError) else f"{type(error).__name__}: {reason}"
+    if first is not None and len(failed) == len(every):
+        raise ValueError(": ".join(next(iter(failed.items())))) from first
+    return failed
 
 
 def _limits(study: Study, subject: Subject) -> tuple[Limit, ...]:
@@ -590,6 +624,7 @@ def _cell_rows(subject: Subject, measured: list[Cell], rendered: References, com
                     statistics=at_own if last else None,
                     samples=cell.samples[p],
                     seconds=float(cell.seconds[:, p].sum()),
+                    replicate_seconds=cell.seconds[:, p].tolist() if last else None,
                     compile_seconds=cell.compile_seconds if last else None,
                     error=errors[p],
                     source=_described(own),
@@ -764,6 +799,7 @@ def _exact_rows(case: Case, cell: Cell) -> list[_Row]:
                 statistics=verdict.measure(ours, reference, exact=True),
                 samples=cell.samples[-1],
                 seconds=float(cell.seconds[:, -1].sum()),
+                replicate_seconds=cell.seconds[:, -1].tolist() if judged else None,
                 source={"reference_samples": None, "reference_seconds": 0.0},
                 kind=case.variant.kind,
                 kernel=False,
@@ -798,6 +834,7 @@ def _total_rows(subject: Subject, measured: list[Cell], rendered: References, co
         against["correct"] = [rendered.correct[term] for term in TERMS]
     means = {name: _luminance(summed(chosen)) for name, chosen in against.items()}
     right = means.get("correct", means["own"])
+    seconds = np.sum([cell.seconds[:, -1] for cell in default.values()], axis=0)
     rows = []
     for name, chosen in against.items():
         reference = summed(chosen)
@@ -810,7 +847,8 @@ def _total_rows(subject: Subject, measured: list[Cell], rendered: References, co
                 scene,
                 statistics=compare(ours, reference, TOTAL),
                 samples=max(cell.samples[-1] for cell in default.values()),
-                seconds=float(sum(cell.seconds[:, -1].sum() for cell in default.values())),
+                seconds=float(seconds.sum()),
+                replicate_seconds=seconds.tolist() if name == "own" else None,
                 source=_described(*chosen),
                 limits=tuple(default[term].own for term in TERMS) if name == "own" else (),
                 kind=kind,
@@ -837,6 +875,7 @@ def _row(
     source: dict[str, Any],
     judged: bool,
     limits: tuple[Limit, ...] = (),
+    replicate_seconds: list[float] | None = None,
     compile_seconds: float | None = None,
     error: Estimate | None = None,
     **decide: Any,
@@ -856,6 +895,7 @@ def _row(
         "reference_replicates": len(reference),
         **source,
         "seconds": seconds,
+        "replicate_seconds": replicate_seconds,
         "compile_seconds": compile_seconds,
         **{name: math.sqrt(max(0.0, square)) for name, square in squares.items()},
         "relmse": None if black else float(np.mean([metrics.relative_mse(truth, image) for image in shown])),

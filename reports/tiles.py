@@ -107,9 +107,9 @@ def _tested(statistics: Statistics, side: int) -> TileMap:
         merged_into=None if stands == side else stands,
         bias=unless_merged(luminance.bias),
         p=p,
-        holm=_adjusted(p, _holm),
+        holm=_adjusted(p, holm),
         benjamini_hochberg=_adjusted(p, stats.false_discovery_control),
-        channels=_adjusted(unless_merged(channels.p_values()), _holm),
+        channels=_adjusted(unless_merged(channels.p_values()), holm),
         noiseless=luminance.noiseless,
     )
 
@@ -122,8 +122,8 @@ def _adjusted(p: np.ndarray, adjust: Callable[[np.ndarray], np.ndarray]) -> np.n
     return adjusted
 
 
-def _holm(p: np.ndarray) -> np.ndarray:
-    """Of (m,) p-values."""
+def holm(p: np.ndarray) -> np.ndarray:
+    """Adjust (m,) p-values: rejecting those up to α errs anywhere with probability α at most (Holm 1979)."""
     order = np.argsort(p)
     adjusted = np.empty_like(p)
     adjusted[order] = np.maximum.accumulate(np.arange(len(p), 0, -1) * p[order]).clip(max=1.0)

@@ -50,7 +50,7 @@ def machine(threads: int) -> dict[str, Any]:
     """What ran, and beside how much other work: `load` is that of the last minute, before it and the run included."""
     versions = {name: importlib.metadata.version(name) for name in ("numba", "llvmlite", "mitsuba", "drjit")}
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "threads": threads,
         "load": os.getloadavg()[0],
@@ -58,7 +58,8 @@ def machine(threads: int) -> dict[str, Any]:
     }
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Its name, as the system has it."""
     path = Path("/proc/cpuinfo")
     if path.exists():
         for line in path.read_text().splitlines():

@@ -19,8 +19,9 @@ import xarray
 from markupsafe import Markup, escape
 
 from renderer.terms import VARIANTS
-from reports import microscope, tiles, verdict
+from reports import microscope, provenance, stored, tiles, verdict
 from reports.page import charts, digits, method, pictures
+from reports.progress import Report, silent
 from scenes.store import write_atomically
 from scenes.terms import TERMS, TOTAL
 
@@ -43,18 +44,19 @@ _FIELDS = (
     "reference_seconds compile_seconds rmse rmse_low rmse_high relmse ssim bias bias_low bias_high standard_error "
     "margin allowance tests family_low family_high rms_bias rms_bias_high place predicted_bias detectable_bias "
     "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall "
-    "reference_audit group at gain base setting"
+    "reference_audit group at gain base setting reference_seconds_to_rmse speed_up command"
 ).split()
 _LISTS = "channels", "objects", "warnings", "reasons", "tiles"
 
 
-def write(run: Path) -> Path:
-    """Write the pages of a finished run into its folder.
+def write(run: Path, *, report: Report = silent) -> Path:
+    """Write the pages of a finished run into its folder, and its rows as `results.csv`.
 
     Parameters
     ----------
     run : Path
         A folder that holds `results.json` and `results.nc`.
+    report : called with (what, done, of all) as pages come in.
 
     Returns
     -------
@@ -63,15 +65,12 @@ def write(run: Path) -> Path:
 
     Raises
     ------
-    FileNotFoundError
-        If one of the two files is missing.
     ValueError
-        If they are of another schema.
+        One of the two is missing, cut short or of another schema; the message says which.
     """
-    results = json.loads((run / "results.json").read_text("utf-8"))
-    if results.get("schema") != 1:
-        raise ValueError(f"{run / 'results.json'}: schema = {results.get('schema')!r}: allowed is 1")
-    rows = [_complete(row) for row in results["cells"]]
+    results = stored.read(run)
+    stored.check_images(run)
+    rows = [_complete(row | {"command": provenance.command(results, row)}) for row in results["cells"]]
     audits = results.get("audits", [])
     every = [
         _Scene(name, described, rows, audits) for name, described in results["settings"]["scenes"].items()
@@ -82,16 +81,22 @@ def write(run: Path) -> Path:
     (run / "index.html").unlink(missing_ok=True)
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
-    shown = {scene.name: scene.draw(run) for scene in every}
-    for scene in every:
+    steps = 2 * len(every) + 2
+    shown = {}
+    for done, scene in enumerate(every):
+        report(f"{scene.name}: pictures", done, steps)
+        shown[scene.name] = scene.draw(run)
         scene.look(run, results)
     copy_static(run)
+    provenance.write_csv(rows, run / "results.csv")
 
     exact = _exact(rows)
     judged = [scene.row(*key, "own") for scene in every for key in scene.keys]
     judged += [row for row in rows if row["group"] and row["against"] == "own"]
+    judged = [row for row in judged if row]
     common = {
         "results": results,
+        "broken": results.get("failed", []),
         "settings": results["settings"],
         "versions": results["versions"],
         "scenes": scenes,
@@ -108,18 +113,26 @@ def write(run: Path) -> Path:
         "rule": verdict,
         "downloads": [
             name
-            for name in ("results.json", "results.nc", *(f"images/{scene.name}.exr" for scene in every))
+            for name in (
+                "results.csv",
+                "results.json",
+                "results.nc",
+                *(f"images/{scene.name}.exr" for scene in every),
+            )
             if (run / name).is_file()
         ],
     }
     environment = page_environment()
+    report("method", len(every), steps)
     render_page(environment, "method.html.j2", run / "method.html", root="", **common)
-    for scene in every:
+    for done, scene in enumerate(every, len(every) + 1):
+        report(scene.name, done, steps)
         page = run / "scenes" / f"{scene.name}.html"
         render_page(environment, "scene.html.j2", page, root="../", scene=scene, **common)
     index = run / "index.html"
     front = "variants.html.j2" if results["settings"].get("page") == "variants" else "index.html.j2"
     render_page(environment, front, index, root="", keys=_keys(scenes), **common)
+    report("index", steps, steps)
     return index
 
 
@@ -216,6 +229,7 @@ class _Scene:
         """Write the scene's pictures; returns, by (term, variant, against), their addresses and scales."""
         with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as dataset:
             dataset = dataset.load()
+        self._time_reference(dataset)
         exposure = float(dataset.attrs.get("exposure", self.described["exposure"] or 1.0))
         folder = Path("pictures") / self.name
         written: set[Path] = set()
@@ -272,6 +286,23 @@ class _Scene:
                         "width": ours.shape[1],
                     }
         return drawn
+
+    def _time_reference(self, dataset: xarray.Dataset) -> None:
+        """Seconds that the reference takes to the error of one replicate, and how many times as long as ours.
+
+        Averaged replicates of the reference have the error `V_R / n` after n of them: to our mean square error, those
+        of this run take `seconds · V_R / (R · MSE)`, `V_R / R` being the variance of their mean.
+        """
+        for cell in range(dataset.sizes["cell"]):
+            term, variant = (str(dataset[name].values[cell]) for name in ("cell_term", "cell_variant"))
+            row, limit = self.row(term, variant, "own"), int(dataset["own"].values[cell])
+            if row is None or limit < 0 or not row["rmse"] or not row["reference_seconds"]:
+                continue
+            variance = float(np.mean(dataset["reference_variance"].values[limit], dtype=np.float64))
+            if variance > 0 and row["seconds"] and row["replicates"]:
+                row["reference_seconds_to_rmse"] = row["reference_seconds"] * variance / row["rmse"] ** 2
+                ours = row["seconds"] / row["replicates"]
+                row["speed_up"] = row["reference_seconds_to_rmse"] / ours
 
 
 def p_maps(
@@ -383,9 +414,9 @@ def _sentence(row: dict[str, Any]) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _tally(rows: list[dict[str, Any] | None]) -> dict[str, list[dict[str, Any]]]:
+def _tally(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     """Rows by word, the gravest first."""
-    found = {word: [row for row in rows if row and _word(row) == word] for word in WORDS}
+    found = {word: [row for row in rows if _word(row) == word] for word in WORDS}
     return {word: rows for word, rows in found.items() if rows}
 
 
@@ -433,6 +464,7 @@ def page_environment() -> jinja2.Environment:
     environment.filters["breakable"] = lambda name: escape(name).replace("_", Markup("_<wbr>"))
     environment.filters["sentence"] = _sentence
     environment.filters["assignments"] = _assignments
+    environment.filters["digest"] = lambda text: re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1…", text)
     environment.globals["variant"] = method.find
     environment.globals["bar"] = _bar()
     environment.globals["p_histograms"] = charts.p_histograms
@@ -452,10 +484,12 @@ def render_page(environment: jinja2.Environment, template: str, path: Path, **va
     write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
 
 
-def copy_static(run: Path) -> None:
-    """Style and scripts, shared by all pages."""
+def copy_static(run: Path, *, charts: bool = True) -> None:
+    """Style and scripts, shared by all pages; plotly's only where there are charts."""
     for path in sorted((_HERE / "static").iterdir()):
         write_atomically(run / path.name, lambda temporary, path=path: shutil.copyfile(path, temporary))
+    if not charts:
+        return
     script = run / "plotly.min.js"
     write_atomically(script, lambda temporary: temporary.write_text(plotly.offline.get_plotlyjs(), "utf-8"))
 

@@ -62,7 +62,7 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
                     **style,
                 )
                 figure.add_trace(band, 1, column)
-            if (fitted := _fit(rows, samples, rmse)) is not None:
+            if (fitted := fitted_curve(rows, samples, rmse)) is not None:
                 # A fit in samples: where the axis is time, samples are placed between the measured times.
                 line = go.Scatter(
                     x=np.exp(np.interp(np.log(fitted[0]), np.log(samples), np.log(x))).tolist(),
@@ -350,7 +350,7 @@ def _log_axes(figure: go.Figure, x: tuple[str, list[float]], y: tuple[str, list[
     )
 
 
-def _fit(
+def fitted_curve(
     rows: list[dict[str, Any]], samples: np.ndarray, rmse: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Samples and fitted RMSE; c, which the results do not hold, is the least-squares one for their a and b²."""

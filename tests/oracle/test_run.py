@@ -163,7 +163,7 @@ def test_one_object_on_standard_output(first: Finished, results: dict[str, Any])
 
 def test_every_row_has_every_key(results: dict[str, Any]):
     assert results["schema"] == 1
-    assert set(results) == {"schema", "versions", "settings", "cells", "extrapolations", "audits"}
+    assert set(results) == {"schema", "versions", "settings", "failed", "cells", "extrapolations", "audits"}
     for row in results["cells"]:
         assert [key for key in KEYS if key not in row] == []
 
@@ -339,7 +339,7 @@ def test_another_folder_computes_nothing_either(first: Finished, compare: Callab
     assert (elsewhere.computed, elsewhere.rendered) == (0, 0)
     same = {"settings", "versions", "schema"}
     ours, theirs = json.loads(elsewhere.output), json.loads(first.output)
-    assert set(ours) == same | {"cells", "extrapolations", "audits"}
+    assert set(ours) == same | {"failed", "cells", "extrapolations", "audits"}
     for row, other in zip(ours["cells"], theirs["cells"], strict=True):
         assert row | {"compile_seconds": 0} == other | {"compile_seconds": 0}
 
@@ -448,15 +448,18 @@ def test_what_is_missing_is_computed_alone(first: Finished, compare: Callable[..
 
 
 def test_a_damaged_report_is_written_again(first: Finished, compare: Callable[..., Finished]):
-    for damage in (
-        lambda: (first.folder / "results.json").write_text('{"schema": 1, "settings": {'),
-        lambda: (first.folder / "results.nc").unlink(),
-        lambda: (first.folder / "index.html").unlink(),
+    for damage, named in (
+        (lambda: (first.folder / "results.json").write_text('{"schema": 1, "settings": {'), True),
+        (lambda: (first.folder / "results.json").write_text('{"schema": 9}'), True),
+        (lambda: (first.folder / "results.nc").unlink(), True),
+        (lambda: os.truncate(first.folder / "results.nc", 5000), True),
+        (lambda: (first.folder / "index.html").unlink(), False),
     ):
         damage()
         again = compare("--json")
         assert again.computed == 0
         assert "no cell was computed" not in again.messages
+        assert ("it is written again" in again.messages) == named, again.messages
         assert all((first.folder / name).is_file() for name in ("results.json", "results.nc", "index.html"))
 
 
@@ -487,9 +490,9 @@ def test_a_run_that_is_interrupted_goes_on(first: Finished, compare: Callable[..
     assert not [path for path in files.rglob(".*") if path.is_file()], "a temporary file was left"
     goes_on = compare("--json", out="seeded", study_file="seeded.toml")
     assert goes_on.status in (0, 1)
-    # The references were there; second integrators, which audit them, come after the cells.
-    seconds = [row for row in json.loads(goes_on.output)["audits"] if row["test"] == "second integrator"]
-    assert goes_on.rendered == 4 * len(seconds) > 0
+    # References were there; what audits them comes after the cells.
+    audits = [each for each in json.loads(goes_on.output)["audits"] if each["test"] == "second integrator"]
+    assert goes_on.rendered == 4 * len(audits)
     assert goes_on.computed == first.computed - 6
 
 
@@ -526,6 +529,61 @@ def test_exit_status_1_where_an_error_is_proven(
     assert words["ambient", "cosine"] == "BIASED"
 
 
+def test_a_scene_that_fails_loses_no_others_results(compare: Callable[..., Finished], files: Path):
+    """The run ends with status 2 and names the scene first; the same command tries it again; a run of one fails."""
+    (files / "other.toml").write_text(SCENE.replace("gloss = 0.3", "gloss = 0.2"))
+    both = str(files / "scene.toml"), str(files / "other.toml")
+    intact = cells.cell
+
+    def broken(engine: Any, variant: Any, **settings: Any) -> cells.Cell:
+        if engine.scene.name == "other" and variant.term == "specular":
+            raise RuntimeError("no kernel\nfor this")
+        return intact(engine, variant, **settings)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cells, "cell", broken)
+        outcome = compare(*both, "--json", out="broken")
+        alone = compare(both[1], "--json", out="alone")
+    assert outcome.status == 2
+    assert outcome.messages == (
+        "termwise: other: failed, and stands in no row: RuntimeError: no kernel for this\n"
+    )
+    results = json.loads(outcome.output)
+    assert results["failed"] == [{"scene": "other", "error": "RuntimeError: no kernel for this"}]
+    assert {row["scene"] for row in results["cells"]} == set(results["settings"]["scenes"]) == {"scene"}
+    assert {audit["scene"] for audit in results["audits"]} <= {"scene"}
+    page = (outcome.folder / "index.html").read_text("utf-8")
+    assert page.index("1 of 2 scenes failed.") < page.index("Every estimate")
+    again = compare(*both, "--json", out="broken")
+    assert again.status in (0, 1)
+    assert json.loads(again.output)["failed"] == []
+    assert {row["scene"] for row in json.loads(again.output)["cells"]} == {"scene", "other"}
+    assert (alone.status, alone.output) == (2, "")
+    assert not (alone.folder / "results.json").exists()
+
+
+def test_seconds_of_replicates_add_up(results: dict[str, Any]):
+    for row in results["cells"]:
+        last = row["against"] == "own" and row["samples"] == 2
+        assert (row["replicate_seconds"] is not None) == last
+        if last:
+            assert len(row["replicate_seconds"]) == row["replicates"]
+            assert sum(row["replicate_seconds"]) == pytest.approx(row["seconds"])
+
+
+def test_another_seed_is_another_run(first: Finished, compare: Callable[..., Finished]):
+    other = compare("--json", "--seed", "5", out="seed 5")
+    ours, theirs = json.loads(other.output), json.loads(first.output)
+    assert (ours["settings"]["seed"], theirs["settings"]["seed"]) == (5, 1)
+    assert ours["settings"]["command"].endswith("--json --seed 5")
+    errors = [
+        {row["rmse"] for row in each["cells"] if (row["variant"], row["against"]) == ("next-event", "own")}
+        for each in (ours, theirs)
+    ]
+    assert len(errors[0]) == len(errors[1]) == 2
+    assert not errors[0] & errors[1]
+
+
 # A process of its own: what a signal or a full disk does.
 
 
@@ -540,7 +598,7 @@ def _process(
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file}, {largest_file}));"
         f"run.cache_folder = lambda: Path({str(files / 'cache')!r}); cli.main()"
     )
-    arguments = ["compare", "--study", str(files / study_file), "--out", str(files / out)]
+    arguments = ["compare", "--quiet", "--study", str(files / study_file), "--out", str(files / out)]
     return subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
         cwd=PROJECT,

@@ -122,6 +122,16 @@ SMALL = "--samples", 1, "--resolution", 4, 4
         ),
         (["compare", "monkey", "--budget=-5"], ["--budget", "'-5'", "90, 90s, 2m or 1h"]),
         (["compare", "monkey", "--study", "quick", "--out", "file"], ["file/compare", "Not a directory"]),
+        (["compare", "--seed", -1], ["seed = -1", "[0, "]),
+        (["compare", "--seed", 1.5], ["--seed", "'1.5'", "an integer"]),
+        (["diff", "missing", "missing"], ["missing", "no such file", "termwise compare"]),
+        (["diff", "file", "file"], ["file", "cut short or no JSON"]),
+        (["diff", "."], ["--run-b"]),
+        (["figure", "missing", "--scene", "a", "--term", "direct", "--out", "a.pdf"], ["missing", "no such"]),
+        (
+            ["figure", ".", "--scene", "a", "--term", "direct", "--kind", "pie", "--out", "a.pdf"],
+            ["--kind", "pie", "waterfall"],
+        ),
         (["judge"], ["--reference"]),
         (["judge", "--reference", "scene.toml"], ["images: none given", "OpenEXR files", "folders"]),
         (["judge", "missing.exr", "--reference", "missing.exr"], ["missing.exr", "no such file"]),
@@ -219,7 +229,7 @@ def test_version_and_help(run: Command):
     assert run("--version").output.strip() == importlib.metadata.version("termwise")
     shown = run("--help")
     assert shown.status == 0
-    for command in ("compare", "judge", "render", "reference", "plan", "scenes"):
+    for command in ("compare", "diff", "figure", "judge", "render", "reference", "plan", "scenes"):
         assert command in shown.output
 
 

@@ -1,6 +1,10 @@
 """Pages of a synthetic run: every verdict, nulls and missing fields, all links, no network."""
 
+import csv
+import functools
+import html
 import json
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import quote, unquote, urldefrag
@@ -225,7 +229,7 @@ def synthesise(folder: Path) -> None:
         "versions": {"termwise": "0.1.0", "python": "3.11.2", "mitsuba": "3.9.1", "numba": "0.68.1"},
         "settings": {
             "study": "standard", "seed": 1, "backend": "llvm_ad_rgb", "machine": "x86_64", "cores": 2,
-            "command": "termwise compare --study <standard>", "alpha": 0.05, "tests": 500,
+            "command": "termwise compare --study '<standard>'", "alpha": 0.05, "tests": 500,
             "options": {"replicates": 16, "intersection": "watertight, float64"}, "scenes": described,
         },
         "cells": cells,
@@ -274,6 +278,7 @@ class Reader(HTMLParser):
         self.text += text
 
 
+@functools.cache
 def read(path: Path) -> Reader:
     return Reader(path.read_text("utf-8"))
 
@@ -314,6 +319,95 @@ def test_index_names_every_verdict_and_what_failed_first(run):
     assert text.index("What needs attention") < text.index("Every estimate on every scene")
 
 
+def table_of(path: Path) -> list[list[str]]:
+    """Texts of the cells of the table of all numbers."""
+    text = path.read_text("utf-8").split('<h2 id="numbers">')[1].split("</table>")[0]
+    rows = text.split("<tbody>")[1].split("</tr>")[:-1]
+    cells = [re.split(r"</t[dh]>", row)[:-1] for row in rows]
+    return [[re.sub(r"<[^>]*>", "", cell).strip() for cell in row] for row in cells]
+
+
+def test_the_table_holds_every_judged_row_the_gravest_first(run):
+    rows = json.loads((run / "results.json").read_text("utf-8"))["cells"]
+    largest = {
+        (row["scene"], row["term"], row["variant"]): row["verdict"] or "NOT JUDGED"
+        for row in rows
+        if row["against"] == "own" and row["samples"] == 128
+    }
+    shown = table_of(run / "index.html")
+    found = {
+        (html.unescape(row[1]), row[2], row[3]): row[0].lstrip("".join(s for _, s in page.WORDS.values()))
+        for row in shown
+    }
+    assert found == largest
+    order = [list(page.WORDS).index(word) for word in found.values()]
+    assert order == sorted(order)
+
+
+def test_every_variant_leads_to_its_equation(run, variants_run):
+    for folder in (run, variants_run):
+        text = (folder / "index.html").read_text("utf-8")
+        for term, table in VARIANTS.items():
+            for name in table:
+                assert f'href="method.html#{term}-{name}"' in text
+                assert f"{term}-{name}" in read(folder / "method.html").ids
+    text = (run / "scenes" / "two_cubes.html").read_text("utf-8")
+    assert all(f"../method.html#ambient-{name}" in text for name in VARIANTS["ambient"])
+
+
+def test_every_row_has_its_command_and_the_table_every_row(run):
+    command = "termwise compare two_cubes --study &#39;&lt;standard&gt;&#39;"
+    assert command in (run / "index.html").read_text("utf-8")
+    assert command in (run / "scenes" / "two_cubes.html").read_text("utf-8")
+    rows = json.loads((run / "results.json").read_text("utf-8"))["cells"]
+    with (run / "results.csv").open(newline="", encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert [(row["scene"], row["variant"], row["against"]) for row in table] == [
+        (row["scene"], row["variant"], row["against"]) for row in rows
+    ]
+    assert [row["rmse (radiance)"] for row in table] == [repr(row["rmse"]) for row in rows]
+    assert "results.csv" in read(run / "index.html").links
+
+
+def test_a_scene_that_failed_is_named_first(run, tmp_path):
+    results = json.loads((run / "results.json").read_text("utf-8"))
+    lost = SCENES[1]
+    results["failed"] = [{"scene": lost, "error": "MemoryError: 3 > 2"}]
+    del results["settings"]["scenes"][lost]
+    results["cells"] = [row for row in results["cells"] if row["scene"] != lost]
+    (tmp_path / "results.json").write_text(json.dumps(results), "utf-8")
+    (tmp_path / "results.nc").write_bytes((run / "results.nc").read_bytes())
+    page.write(tmp_path)
+    text = read(tmp_path / "index.html").text
+    assert "1 of 4 scenes failed." in text
+    assert text.index(f"{lost} failed, and stands in no row: MemoryError: 3 > 2") < text.index("What needs")
+    assert not (tmp_path / "scenes" / f"{lost}.html").exists()
+
+
+def test_seconds_of_the_reference_to_our_error():
+    """Sixteen replicates of variance 0.04 and 2 s each: an error of 0.1 takes 4 of them, 8 s, and ours 0.5 s."""
+    row = {
+        "scene": "room", "term": "direct", "variant": "path", "against": "own", "samples": 8, "rmse": 0.1,
+        "reference_seconds": 32.0, "seconds": 2.0, "replicates": 4,
+    }  # fmt: skip
+    absent = row | {"variant": "paper", "rmse": 0.0}
+    scene = page._Scene("room", {}, [row, absent], [])
+    variance = np.full((1, 2, 2, 3), 0.04 / 16, np.float32)
+    scene._time_reference(
+        xarray.Dataset(
+            {"reference_variance": (("limit", "y", "x", "channel"), variance)},
+            {
+                "cell_term": ("cell", ["direct", "direct"]),
+                "cell_variant": ("cell", ["path", "paper"]),
+                "own": ("cell", [0, 0]),
+            },
+        )
+    )
+    assert row["reference_seconds_to_rmse"] == pytest.approx(8.0)
+    assert row["speed_up"] == pytest.approx(16.0)
+    assert "speed_up" not in absent
+
+
 def test_page_of_variants_shows_prediction_beside_measurement(variants_run):
     text = read(variants_run / "index.html").text.replace(digits.THIN, " ")
     assert text.count("+27.32 %") == 2 * (2 * len(VARIANTS["specular"]) + len(VARIANTS["ambient"]))
@@ -331,8 +425,8 @@ def test_page_of_variants_shows_settings_apart_from_scenes(variants_run):
     text = read(variants_run / "index.html").text.replace(digits.THIN, " ")
     for words in ("no-shadow", "Nothing is dark <there>", 'shadows = "paper"', 'camera.pixel = "corner"'):
         assert words in text
-    html = (variants_run / "index.html").read_text("utf-8")
-    formulas, settings = html.split('id="changed"')
+    page_text = (variants_run / "index.html").read_text("utf-8")
+    formulas, settings = page_text.split('id="changed"')
     address = f"scenes/{quote(SCENES[-1])}.html#"
     assert address not in formulas.split('id="formulas"')[1]
     assert address in settings
