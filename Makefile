@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane; each compiles kernels and renders, so more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare variants bench test lint format clean distclean
+.PHONY: help install compare variants bench test audit lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -38,6 +38,9 @@ bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error,
 test: .venv/.installed ## Run the tests, then the unit tests again as plain Python
 	.venv/bin/python -m pytest -q -n $(JOBS)
 	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q tests/unit
+
+audit: .venv/.installed ## Judge the verdicts: their false alarms, and the faults planted in our sources that they catch; OUT=out
+	.venv/bin/python -m tests.audit --out $(OUT)
 
 lint: .venv/.installed ## Check style, types and layers
 	.venv/bin/ruff check

@@ -10,9 +10,7 @@ import pytest
 from scipy import ndimage, stats
 
 from reports.verdict import decide, judge, measure
-
-RUN = 600
-"""Tests of a run of some 60 rows."""
+from tests.verdict.synthetic import RUN, share_found
 
 
 def noise_for(standard_error: float, side: int) -> float:
@@ -90,24 +88,12 @@ def test_a_half_pixel_shift_is_caught_at_half_a_tenth_percent(replicates, pictur
         assert any(reason.startswith("shape") for reason in verdict.reasons)
 
 
-def test_the_detectable_bias_is_found_in_80_percent_of_runs(replicates, picture):
+def test_the_detectable_bias_is_found_in_80_percent_of_runs():
     """Each of 200 runs is given, in its noisiest channel, exactly the bias that this very run prints.
 
     Expected: 80 ± 6 % of them find it; the printed figure claims neither more nor less.
     """
-    rng = np.random.default_rng(15)
-    mean = picture(16, 16)
-    found = 0
-    for _ in range(200):
-        ours, reference = (replicates(rng, mean) for _ in range(2))
-        before = decide(measure(ours, reference), tests=RUN).row()
-        channel = int(np.argmax([region["detectable_bias"] for region in before["regions"]]))
-        scale = reference[..., channel].mean(dtype=np.float64)
-        ours = ours.astype(np.float64)
-        ours[..., channel] += before["detectable_bias"] * scale
-        after = decide(measure(ours, reference.astype(np.float64)), tests=RUN).row()["regions"][channel]
-        found += after["family_low"] > 0.001 or after["family_high"] < -0.001
-    assert 0.74 <= found / 200 <= 0.86
+    assert 0.74 <= share_found(np.random.default_rng(15), 200) <= 0.86
 
 
 def test_samples_to_margin_is_what_it_takes(replicates, picture):
