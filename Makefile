@@ -4,7 +4,7 @@ PYTHON ?= python3
 PRESET ?= standard
 SCENES ?=
 OUT    ?= out
-# Processes of the main test lane; each compiles kernels and renders, so more than the cores is no gain.
+# Processes of the main test lane (each compiles kernels and renders) and of the audit: more than the cores is no gain.
 JOBS   ?= 2
 
 .PHONY: help install compare variants bench test audit lint format clean distclean
@@ -40,7 +40,7 @@ test: .venv/.installed ## Run the tests, then the unit tests again as plain Pyth
 	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q tests/unit
 
 audit: .venv/.installed ## Judge the verdicts: their false alarms, and the faults planted in our sources that they catch; OUT=out
-	.venv/bin/python -m tests.audit --out $(OUT)
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.audit --out $(OUT) --jobs $(JOBS)
 
 lint: .venv/.installed ## Check style, types and layers
 	.venv/bin/ruff check

@@ -6,6 +6,7 @@ never alarms is blind.
 """
 
 import hashlib
+import multiprocessing
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 
@@ -95,7 +96,8 @@ def synthetic(runs: int, *, seed: int, jobs: int, report: Callable[[str, int, in
         for part in range(-(-runs // (len(LAWS) * _BATCH)))
     ]
     found = Alarms(0, 0, 0)
-    with ProcessPoolExecutor(jobs) as pool:
+    # Not forked: this process may have threads.
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
         for done, alarms in enumerate(pool.map(_synthetic, *zip(*batches, strict=True)), 1):
             found += alarms
             report("gamma and lognormal pixels", done, len(batches))

@@ -42,10 +42,11 @@ DIRECT = Case("cornell_box", "direct", "next-event")
 FINE = Case("cornell_box", "direct", "next-event", samples=32, side=32, compiled=True)
 TURNED = Case("turned two_cubes", "direct", "next-event")
 PATH = Case("cornell_box_unshadowed", "direct", "path")
-PHOTON_MAP = Case("cornell_box_unshadowed", "direct", "photon-map")
-SPLIT = Case("cornell_box_unshadowed", "direct", "next-event")
-GLOSSY = Case("glossy cornell_box", "specular", "vndf", samples=2)
+PHOTON_MAP = Case("cornell_box_unshadowed", "direct", "photon-map", samples=2, compiled=True)
+SPLIT = Case("cornell_box_unshadowed", "direct", "next-event", samples=2, compiled=True)
+GLOSSY = Case("glossy cornell_box", "specular", "vndf")
 GLOSSY_UNIFORM = Case("glossy cornell_box", "specular", "uniform", samples=2)
+METAL = Case("metal cornell_box", "specular", "vndf")
 OUTDOORS = Case("glossy two_cubes", "specular", "vndf")
 BACKGROUND = Case("two_cubes", "background", "seen")
 
@@ -258,7 +259,7 @@ PLANTS = (
     ),
     Plant(
         "specular: a bounce too few",
-        GLOSSY,
+        METAL,
         _SPECULAR,
         "bounce < scene.max_bounces:",
         "bounce < scene.max_bounces - 1:",

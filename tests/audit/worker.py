@@ -16,7 +16,10 @@ from renderer import Engine, find
 from scenes.load import load
 from scenes.model import Scene
 
-_DULL = {"gloss": 0.5, "roughness": 0.6, "f0": (0.04, 0.04, 0.04)}
+_LOBES = {
+    "glossy": {"gloss": 0.5, "roughness": 1.0, "f0": (0.04, 0.04, 0.04)},
+    "metal": {"gloss": 0.7, "roughness": 0.5, "f0": (0.9, 0.9, 0.9)},
+}
 
 
 @attrs.frozen
@@ -25,8 +28,8 @@ class Case:
 
     Attributes
     ----------
-    scene : a library scene; "glossy" before its name: all surfaces have a wide lobe; "turned": the first object's
-        faces look the other way.
+    scene : a library scene; "glossy" or "metal" before its name: all surfaces have that lobe; "turned": the first
+        object's faces look the other way.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     compiled : whether kernels are compiled: a fault that is small needs many samples, a large one is shown by plain
@@ -45,9 +48,9 @@ class Case:
         change, _, name = self.scene.rpartition(" ")
         scene = load(name)
         things = scene.objects
-        if change == "glossy":
+        if change in _LOBES:
             things = tuple(
-                thing if thing.emits else attrs.evolve(thing, material=attrs.evolve(thing.material, **_DULL))
+                attrs.evolve(thing, material=attrs.evolve(thing.material, **_LOBES[change]))
                 for thing in things
             )
         elif change == "turned":
@@ -58,7 +61,7 @@ class Case:
             resolution=(self.side, self.side),
             objects=things,
             max_bounces=2,
-            photons=attrs.evolve(scene.photons, count=500, radius=0.6),
+            photons=attrs.evolve(scene.photons, count=2000, radius=0.6),
         )
 
 
