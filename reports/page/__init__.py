@@ -19,7 +19,7 @@ from markupsafe import Markup, escape
 
 from renderer.terms import VARIANTS
 from reports import verdict
-from reports.page import charts, digits, method, pictures
+from reports.page import charts, digits, method, pictures, viewer
 from scenes.store import write_atomically
 from scenes.terms import TERMS, TOTAL
 
@@ -81,6 +81,7 @@ def write(run: Path) -> Path:
     (run / "index.html").unlink(missing_ok=True)
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
+    viewer.clear(run)
     shown = {scene.name: scene.draw(run) for scene in every}
     copy_static(run)
 
@@ -113,7 +114,12 @@ def write(run: Path) -> Path:
     render_page(environment, "method.html.j2", run / "method.html", root="", **common)
     for scene in every:
         page = run / "scenes" / f"{scene.name}.html"
-        render_page(environment, "scene.html.j2", page, root="../", scene=scene, **common)
+        # Scenes with a changed setting have no viewer: the pixels of a study of variants would not be light.
+        viewed = viewer.write_data(run, scene) if scene.setting is None else None
+        render_page(environment, "scene.html.j2", page, root="../", scene=scene, viewed=viewed, **common)
+        if viewed:
+            page = page.with_suffix(".viewer.html")
+            render_page(environment, "viewer.html.j2", page, root="../", scene=scene, viewed=viewed, **common)
     index = run / "index.html"
     front = "variants.html.j2" if results["settings"].get("page") == "variants" else "index.html.j2"
     render_page(environment, front, index, root="", keys=_keys(scenes), **common)
