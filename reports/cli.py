@@ -62,6 +62,7 @@ def compare(
     estimators: Path | None = None,
     out: Path = Path("out"),
     backend: str | None = None,
+    single_file: Annotated[bool, Parameter(negative="")] = False,
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
     """Render scenes with ours and with Mitsuba, judge every term, write the report.
@@ -78,6 +79,8 @@ def compare(
         The report goes to OUT/compare, or to the folder that the study names.
     backend
         Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given.
+    single_file
+        Write report.html too: all pages in one file, to mail.
     json_
         Print results.json on standard output.
     """
@@ -103,6 +106,10 @@ def compare(
     else:
         _messages.print("Nothing has changed since the last run: no cell was computed.")
     index = folder / "index.html"
+    if single_file:
+        from reports.page import single
+
+        index = single.write(folder)
     if json_:
         print(json.dumps(results))
     else:

@@ -78,7 +78,8 @@ def write(run: Path) -> Path:
     scenes = [scene for scene in every if scene.setting is None]
 
     # What an earlier run with other scenes left would be taken for this one's.
-    (run / "index.html").unlink(missing_ok=True)
+    for name in ("index.html", "report.html"):
+        (run / name).unlink(missing_ok=True)
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
     viewer.clear(run)
@@ -379,6 +380,7 @@ def page_environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.policies["json.dumps_kwargs"] = {}  # not sorted: terms and references have an order
     for name in (
         "percent",
         "interval",

@@ -138,7 +138,7 @@ def clear(run: Path) -> None:
 def pack(values: np.ndarray) -> str:
     """float32 of any shape as text: bytes sorted by place, deflated, base64."""
     places = np.ascontiguousarray(values, "<f4").reshape(-1, 1).view(np.uint8).T
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(places).tobytes(), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(places).tobytes())).decode("ascii")
 
 
 def _write(folder: Path, key: str, values: np.ndarray) -> None:
@@ -152,9 +152,11 @@ def _write_flip(
     """The key of the FLIP map of a pair; None where a pixel is invalid, of which FLIP knows nothing."""
     if not (np.isfinite(ours).all() and np.isfinite(reference).all()):
         return None
+    key = f"flip-{cell}-{limit}"
+    if (folder / f"{key}.js").exists():  # the own limit of a right variant is the correct one too
+        return key
     right, its = (encode(image, exposure=exposure).astype(np.float32) for image in (reference, ours))
     flip, _, _ = evaluate(right, its, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False)
-    key = f"flip-{cell}-{limit}"
     _write(folder, key, _rounded(np.asarray(flip)[..., 0]))
     return key
 

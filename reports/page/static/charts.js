@@ -22,7 +22,8 @@ const plots = [...document.querySelectorAll(".chart .plot")];
 for (const plot of plots) {
   const figure = JSON.parse(plot.parentElement.querySelector("script").textContent);
   Plotly.newPlot(plot, figure.data, figure.layout, { displaylogo: false, displayModeBar: "hover", responsive: true })
-    .then(() => Plotly.relayout(plot, colours()));
+    .then(() => Plotly.relayout(plot, colours()))
+    .then(() => plot.setAttribute("role", "group")); // plotly's "img" would hide its buttons from a screen reader
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   for (const plot of plots) Plotly.relayout(plot, colours());

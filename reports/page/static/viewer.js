@@ -329,8 +329,9 @@ function valid(wanted) {
 function change(wanted) {
   state = valid(wanted);
   const written = new URLSearchParams();
+  const start = { ...START, variant: variants()[0].name };
   for (const [key, value] of Object.entries(state))
-    if (value !== null && String(value) !== String(START[key])) written.set(key, typeof value === "number" ? String(Number(value.toFixed(3))) : String(value));
+    if (value !== null && String(value) !== String(start[key])) written.set(key, typeof value === "number" ? String(Number(value.toFixed(3))) : String(value));
   const address = written.size ? `#${written.toString().replaceAll("%2C", ",")}` : "#";
   try { history.replaceState(null, "", address); } catch { /* a page within a single file has no address of its own */ }
   draw();
