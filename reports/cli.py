@@ -80,6 +80,7 @@ def compare(
     out: Path = Path("out"),
     backend: str | None = None,
     quiet: Quiet = False,
+    single_file: Annotated[bool, Parameter(negative="")] = False,
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
     """Render scenes with ours and with Mitsuba, judge every term, write the report.
@@ -103,6 +104,8 @@ def compare(
         Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given.
     quiet
         No progress on standard error.
+    single_file
+        Write report.html too: all pages in one file, to mail.
     json_
         Print results.json on standard output; no progress.
     """
@@ -141,6 +144,10 @@ def compare(
     elif not quiet:
         _messages.print("Nothing has changed since the last run: no cell was computed.")
     index = folder / "index.html"
+    if single_file:
+        from reports.page import single
+
+        index = single.write(folder)
     if json_:
         print(json.dumps(results))
     else:

@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 
 from renderer.terms import VARIANTS
 from reports import microscope, provenance, stored, tiles, verdict
-from reports.page import charts, digits, method, pictures
+from reports.page import charts, digits, method, pictures, viewer
 from reports.progress import Report, silent
 from scenes.store import write_atomically
 from scenes.terms import TERMS, TOTAL
@@ -78,9 +78,11 @@ def write(run: Path, *, report: Report = silent) -> Path:
     scenes = [scene for scene in every if scene.setting is None]
 
     # What an earlier run with other scenes left would be taken for this one's.
-    (run / "index.html").unlink(missing_ok=True)
+    for name in ("index.html", "report.html"):
+        (run / name).unlink(missing_ok=True)
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
+    viewer.clear(run)
     steps = 2 * len(every) + 2
     shown = {}
     for done, scene in enumerate(every):
@@ -128,7 +130,12 @@ def write(run: Path, *, report: Report = silent) -> Path:
     for done, scene in enumerate(every, len(every) + 1):
         report(scene.name, done, steps)
         page = run / "scenes" / f"{scene.name}.html"
-        render_page(environment, "scene.html.j2", page, root="../", scene=scene, **common)
+        # Scenes with a changed setting have no viewer: the pixels of a study of variants would not be light.
+        viewed = viewer.write_data(run, scene) if scene.setting is None else None
+        render_page(environment, "scene.html.j2", page, root="../", scene=scene, viewed=viewed, **common)
+        if viewed:
+            page = page.with_suffix(".viewer.html")
+            render_page(environment, "viewer.html.j2", page, root="../", scene=scene, viewed=viewed, **common)
     index = run / "index.html"
     front = "variants.html.j2" if results["settings"].get("page") == "variants" else "index.html.j2"
     render_page(environment, front, index, root="", keys=_keys(scenes), **common)
@@ -444,6 +451,7 @@ def page_environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.policies["json.dumps_kwargs"] = {}  # not sorted: terms and references have an order
     for name in (
         "percent",
         "interval",
