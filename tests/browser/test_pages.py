@@ -130,6 +130,7 @@ def run(tmp_path_factory) -> Path:
                 error = 0.3 * samples**-0.5
                 measured = {"samples": samples, "seconds": 0.1 * samples, "rmse": error}
                 measured |= {"rmse_low": 0.9 * error, "rmse_high": 1.1 * error, "replicates": REPLICATES}
+                measured |= dict.fromkeys(("verdict", "bias", "bias_low", "bias_high", "sentence"))
                 rows.append(common | measured | {"against": "own"})
             rows[-1] |= {
                 "verdict": "EQUIVALENT", "sentence": "EQUIVALENT: so.", "bias": 0.001, "bias_low": -0.001,
