@@ -136,6 +136,7 @@ def run(tmp_path_factory) -> Path:
                 "verdict": "EQUIVALENT", "sentence": "EQUIVALENT: so.", "bias": 0.001, "bias_low": -0.001,
                 "bias_high": 0.003, "standard_error": 0.001, "detectable_bias": 0.004, "ssim": 0.99,
                 "reference_replicates": REFERENCE_REPLICATES, "reference_samples": 32, "tests": 9,
+                "margin": 0.01, "allowance": 0.0, "reference_seconds": 2.0,
             }  # fmt: skip
     results = {
         "schema": 1,
