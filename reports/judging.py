@@ -14,7 +14,8 @@ import xarray
 
 from reports import tiles, verdict
 from reports.images import write_exr, write_netcdf
-from reports.run import SCHEMA, plain, versions
+from reports.run import plain, versions
+from reports.stored import SCHEMA
 from scenes.store import write_atomically
 from scenes.terms import TermImage
 

@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 
 from renderer.terms import VARIANTS
 from reports import microscope, provenance, stored, tiles, verdict
-from reports.page import charts, digits, method, pictures
+from reports.page import charts, digits, method, pictures, viewer
 from reports.progress import Report, silent
 from scenes.store import write_atomically
 from scenes.terms import TERMS, TOTAL
@@ -78,9 +78,11 @@ def write(run: Path, *, report: Report = silent) -> Path:
     scenes = [scene for scene in every if scene.setting is None]
 
     # What an earlier run with other scenes left would be taken for this one's.
-    (run / "index.html").unlink(missing_ok=True)
+    for name in ("index.html", "report.html"):
+        (run / name).unlink(missing_ok=True)
     for folder in ("scenes", "pictures"):
         shutil.rmtree(run / folder, ignore_errors=True)
+    viewer.clear(run)
     steps = 2 * len(every) + 2
     shown = {}
     for done, scene in enumerate(every):
@@ -128,7 +130,12 @@ def write(run: Path, *, report: Report = silent) -> Path:
     for done, scene in enumerate(every, len(every) + 1):
         report(scene.name, done, steps)
         page = run / "scenes" / f"{scene.name}.html"
-        render_page(environment, "scene.html.j2", page, root="../", scene=scene, **common)
+        # A scene with a changed setting has static pictures alone: the report of a study of variants stays small.
+        viewed = viewer.write_data(run, scene) if scene.setting is None else None
+        render_page(environment, "scene.html.j2", page, root="../", scene=scene, viewed=viewed, **common)
+        if viewed:
+            page = page.with_suffix(".viewer.html")
+            render_page(environment, "viewer.html.j2", page, root="../", scene=scene, viewed=viewed, **common)
     index = run / "index.html"
     front = "variants.html.j2" if results["settings"].get("page") == "variants" else "index.html.j2"
     render_page(environment, front, index, root="", keys=_keys(scenes), **common)
@@ -147,6 +154,7 @@ class _Scene:
         audits: list[dict[str, Any]],
     ) -> None:
         self.name = name
+        self._dataset: xarray.Dataset | None = None
         self.branches: dict[tuple[str, str], dict[str, Any]] = {}
         self.audits = [audit for audit in audits if audit["scene"] == name]
         self.described = {
@@ -192,12 +200,18 @@ class _Scene:
         ]
         return max(rows, key=lambda row: row["samples"] or 0, default=None)
 
+    def dataset(self, run: Path) -> xarray.Dataset:
+        """The scene's group of `results.nc`, read once."""
+        if self._dataset is None:
+            with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as opened:
+                self._dataset = opened.load()
+        return self._dataset
+
     def look(self, run: Path, results: dict[str, Any]) -> None:
         """Find the most suspect pixel of each judged row that has light; an earlier version's run has no pieces."""
-        with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as dataset:
-            if not microscope.has_pieces(dataset):
-                return
-            dataset = dataset.load()
+        dataset = self.dataset(run)
+        if not microscope.has_pieces(dataset):
+            return
         for term, variant in self.keys:
             row = self.row(term, variant, "own")
             if row and row["verdict"] not in (None, "ABSENT"):
@@ -227,8 +241,7 @@ class _Scene:
 
     def draw(self, run: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
         """Write the scene's pictures; returns, by (term, variant, against), their addresses and scales."""
-        with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as dataset:
-            dataset = dataset.load()
+        dataset = self.dataset(run)
         self._time_reference(dataset)
         exposure = float(dataset.attrs.get("exposure", self.described["exposure"] or 1.0))
         folder = Path("pictures") / self.name
@@ -444,6 +457,7 @@ def page_environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.policies["json.dumps_kwargs"] = {}  # not sorted: terms and references have an order
     for name in (
         "percent",
         "interval",

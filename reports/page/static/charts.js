@@ -23,7 +23,8 @@ const plots = [];
 function draw(plot) {
   const figure = JSON.parse(plot.parentElement.querySelector("script").textContent);
   Plotly.newPlot(plot, figure.data, figure.layout, { displaylogo: false, displayModeBar: "hover", responsive: true })
-    .then(() => Plotly.relayout(plot, colours()));
+    .then(() => Plotly.relayout(plot, colours()))
+    .then(() => plot.setAttribute("role", "group")); // plotly's "img" would hide its buttons from a screen reader
   plots.push(plot);
 }
 for (const plot of document.querySelectorAll(".chart .plot")) {

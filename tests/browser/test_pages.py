@@ -1,0 +1,466 @@
+"""The pages in a real browser, from `file://`, offline: no complaint, every control, values as in the EXR.
+
+The run is of known pixels, written here. TERMWISE_BROWSER=required makes a missing Chromium a failure.
+"""
+
+import base64
+import io
+import json
+import math
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+import xarray
+from PIL import Image
+from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+from scipy import stats
+
+from reports import images, page
+from reports.page import single
+
+SIZE = 24
+REPLICATES = 16
+REFERENCE_REPLICATES = 8
+CELLS = [("ambient", "cosine"), ("ambient", "paper"), ("direct", "next-event"), ("total", "default")]
+LIMITS = ["ambient", "ambient times 3.14159", "ambient physical", "direct all", "total", "total physical"]
+AGAINST = {"own": [0, 1, 3, 4], "correct": [0, 0, 3, 4], "physical": [2, 2, -1, 5]}
+SCENES = ["two_cubes", "a room & <more>"]
+SCENE = SCENES[0]
+AXE = resources.files("axe_playwright_python") / "axe.min.js"
+REQUIRED = os.environ.get("TERMWISE_BROWSER") == "required"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Chromium of the system."""
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if path is None:
+        reason = "no Chromium on this machine: on Debian, apt-get install chromium"
+        if REQUIRED:
+            pytest.fail(reason)
+        pytest.skip(reason)
+    with sync_playwright() as playwright:
+        # Its sandbox needs user namespaces, which containers refuse; the pages are our own.
+        found = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+        yield found
+        found.close()
+
+
+@attrs.define
+class Opened:
+    """A page, and what it complained of."""
+
+    page: Page
+    complaints: list[str]
+
+
+@pytest.fixture
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    """Offline, 1300 pixels wide."""
+    found = browser.new_context(offline=True, viewport={"width": 1300, "height": 1000})
+    yield found
+    found.close()
+
+
+def opened(context: BrowserContext, address: str) -> Opened:
+    """Open a page of the disk, and wait for its viewer or charts."""
+    its = Opened(context.new_page(), [])
+    its.page.on(
+        "console", lambda m: its.complaints.append(m.text) if m.type in ("error", "warning") else None
+    )
+    its.page.on("pageerror", lambda error: its.complaints.append(str(error)))
+    its.page.on("requestfailed", lambda request: its.complaints.append(f"failed: {request.url}"))
+
+    def within(request) -> None:
+        if not request.url.startswith(("file:", "data:", "blob:")):
+            its.complaints.append(f"left the machine: {request.url}")
+
+    its.page.on("request", within)
+    its.page.goto(address)
+    its.page.wait_for_load_state("load")
+    return its
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """The folder of a finished run: `results.json`, `results.nc`, `images/*.exr` and its pages."""
+    folder = tmp_path_factory.mktemp("compare run")
+    rng = np.random.default_rng(11)
+    dims = "y", "x", "channel"
+    described, rows = {}, []
+    for index, scene in enumerate(SCENES):
+        reference = rng.gamma(2.0, 0.4, (len(LIMITS), SIZE, SIZE, 3)).astype(np.float32)
+        ours = np.stack([reference[limit] for limit in AGAINST["own"]])
+        ours = (ours * rng.normal(1.0, 0.1, ours.shape)).astype(np.float32)
+        ours[0, 2, 3] = 1234.5  # far brighter than the screen
+        ours[1, 4, 5, 1] = np.nan
+        xarray.Dataset(
+            {
+                "image": (("cell", *dims), ours),
+                "image_variance": (("cell", *dims), rng.gamma(2.0, 1e-3, ours.shape).astype(np.float32)),
+                "reference": (("limit", *dims), reference),
+                "reference_variance": (
+                    ("limit", *dims),
+                    rng.gamma(2, 1e-4, reference.shape).astype(np.float32),
+                ),
+            },
+            {
+                "cell_term": ("cell", [term for term, _ in CELLS]),
+                "cell_variant": ("cell", [variant for _, variant in CELLS]),
+                "limit_name": ("limit", LIMITS),
+                **{name: ("cell", limits) for name, limits in AGAINST.items()},
+            },
+            {"exposure": 0.8},
+        ).to_netcdf(folder / "results.nc", group=scene, mode="a" if index else "w", engine="h5netcdf")
+        parts = {f"{term}.{variant}": image for (term, variant), image in zip(CELLS, ours, strict=True)}
+        parts |= {f"reference.{name}": image for name, image in zip(LIMITS, reference, strict=True)}
+        (folder / "images").mkdir(exist_ok=True)
+        images.write_exr(folder / "images" / f"{scene}.exr", parts, {})
+        described[scene] = {"resolution": [SIZE, SIZE], "exposure": 0.8, "scope": "all", "digest": "3f" * 32}
+        for term, variant in CELLS:
+            common = {"scene": scene, "term": term, "variant": variant, "kind": "right", "scope": "all"}
+            for samples in (1, 2, 4, 8, 16):
+                error = 0.3 * samples**-0.5
+                measured = {"samples": samples, "seconds": 0.1 * samples, "rmse": error}
+                measured |= {"rmse_low": 0.9 * error, "rmse_high": 1.1 * error, "replicates": REPLICATES}
+                measured |= dict.fromkeys(("verdict", "bias", "bias_low", "bias_high", "sentence"))
+                rows.append(common | measured | {"against": "own"})
+            rows[-1] |= {
+                "verdict": "EQUIVALENT", "sentence": "EQUIVALENT: so.", "bias": 0.001, "bias_low": -0.001,
+                "bias_high": 0.003, "standard_error": 0.001, "detectable_bias": 0.004, "ssim": 0.99,
+                "reference_replicates": REFERENCE_REPLICATES, "reference_samples": 32, "tests": 9,
+                "margin": 0.01, "allowance": 0.0, "reference_seconds": 2.0,
+            }  # fmt: skip
+    results = {
+        "schema": 1,
+        "versions": {"termwise": "0.1.0"},
+        "settings": {
+            "study": "standard",
+            "seed": 1,
+            "command": "termwise compare",
+            "options": {},
+            "tests": 9,
+            "alpha": 0.05,
+            "scenes": described,
+        },
+        "cells": rows,
+    }
+    (folder / "results.json").write_text(json.dumps(results), "utf-8")
+    page.write(folder)
+    return folder
+
+
+@pytest.fixture
+def view(context, run):
+    """The viewer of a scene, by what follows in its address; it must complain of nothing."""
+    found = []
+
+    def view(state="", scene=SCENE):
+        its = opened(context, (run / "scenes" / f"{scene}.viewer.html").as_uri() + state)
+        found.append(its)
+        return ready(its.page)
+
+    yield view
+    assert [complaint for its in found for complaint in its.complaints] == []
+
+
+def ready(page):
+    """Once all pixels are there and drawn."""
+    page.wait_for_selector("#viewer[data-state=ready]")
+    return page
+
+
+def screen(page, panel):
+    """(h, w, 3) uint8 of a panel."""
+    text = page.evaluate("(id) => document.getElementById(id).toDataURL('image/png')", panel)
+    with Image.open(io.BytesIO(base64.b64decode(text.partition(",")[2]))) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def middles(page, panel):
+    """(SIZE, SIZE, 3) uint8: the colours in the middle of each pixel at zoom 1."""
+    shown = screen(page, panel)
+    at = ((np.arange(SIZE) + 0.5) * shown.shape[1] / SIZE).astype(int)
+    return shown[at][:, at].astype(int)
+
+
+def numbers(page):
+    """The inspector's table: row by name, numbers or the text."""
+
+    def value(text):
+        return float(text.replace("−", "-")) if re.fullmatch(r"[−\d.e+]+|NaN", text) else text
+
+    rows = page.locator("#inspector tbody tr").all()
+    return {
+        row.locator("th").inner_text(): [value(text) for text in row.locator("td").all_inner_texts()]
+        for row in rows
+    }
+
+
+def test_every_page_loads_without_complaint_and_without_network(context, run):
+    pages = sorted([*run.glob("*.html"), *run.glob("scenes/*.html")])
+    assert len(pages) == 2 + 2 * len(SCENES)
+    for path in pages:
+        its = opened(context, path.as_uri())
+        its.page.wait_for_timeout(200)
+        assert its.complaints == [], path.name
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("against", ["own", "correct", "physical"])
+@pytest.mark.parametrize("cell", range(len(CELLS)), ids=["-".join(cell) for cell in CELLS])
+def test_inspector_shows_the_values_of_the_exr(view, run, scene, cell, against):
+    limit = AGAINST[against][cell]
+    if limit < 0:
+        return  # the viewer then offers no such reference, as tested below
+    term, variant = CELLS[cell]
+    parts = images.read_exr(run / "images" / f"{scene}.exr")
+    with xarray.open_dataset(run / "results.nc", group=scene, engine="h5netcdf") as data:
+        x, y = 7, 19
+        ours, right = parts[f"{term}.{variant}"][y, x], parts[f"reference.{LIMITS[limit]}"][y, x]
+        its = data["image_variance"].values[cell, y, x].astype(float)
+        other = data["reference_variance"].values[limit, y, x].astype(float)
+    shown = numbers(view(f"#term={term}&variant={variant}&against={against}&pixel={x},{y}", scene))
+    degrees = (its + other) ** 2 / (its**2 / (REPLICATES - 1) + other**2 / (REFERENCE_REPLICATES - 1))
+    half = stats.t.ppf(0.95, np.floor(degrees)) * np.sqrt(its + other)
+    for channel, name in enumerate(("red", "green", "blue")):
+        a, b, difference, interval, deviations = shown[name]
+        assert a == pytest.approx(ours[channel], rel=1e-4)
+        assert b == pytest.approx(right[channel], rel=1e-4)
+        apart = float(ours[channel]) - float(right[channel])
+        assert difference == pytest.approx(apart, rel=1e-4)
+        low, high = (float(text) for text in str(interval).replace("−", "-").strip("[]").split(", "))
+        # Standard errors are kept to 11 bits.
+        assert low == pytest.approx(apart - half[channel], abs=1e-3 * half[channel])
+        assert high == pytest.approx(apart + half[channel], abs=1e-3 * half[channel])
+        assert deviations == pytest.approx(apart / math.sqrt(its[channel] + other[channel]), rel=1e-2)
+
+
+def test_an_invalid_pixel_is_named_and_magenta(view):
+    page = view("#term=ambient&variant=paper&pixel=5,4")
+    assert math.isnan(numbers(page)["green"][0])
+    for panel in ("left", "right"):
+        assert middles(page, panel)[4, 5].tolist() == [255, 0, 255]
+
+
+def encoded(radiance, stops=0.0, gamma=None):
+    """8-bit sRGB (IEC 61966-2-1) or a power, at the scene's exposure."""
+    v = np.clip(radiance.astype(float) * 0.8 * 2**stops, 0, 1)
+    if gamma:
+        return 255 * v ** (1 / gamma)
+    return 255 * np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.parametrize(("stops", "gamma"), [(0.0, None), (-3.0, None), (1.5, 1.8)])
+def test_canvas_shows_the_radiance_at_exposure_and_gamma(view, run, stops, gamma):
+    curve = f"&curve=gamma&gamma={gamma}" if gamma else ""
+    page = view(f"#term=ambient&ev={stops}{curve}&beside=reference")
+    parts = images.read_exr(run / "images" / f"{SCENE}.exr")
+    for panel, part in (("left", "ambient.cosine"), ("right", "reference.ambient")):
+        assert np.abs(middles(page, panel) - encoded(parts[part], stops, gamma)).max() <= 0.51
+
+
+def test_split_shows_ours_and_the_reference(view, run):
+    page = view("#term=ambient&split=true&at=0.5")
+    parts = images.read_exr(run / "images" / f"{SCENE}.exr")
+    shown = middles(page, "left")
+    half = SIZE // 2
+    assert np.abs(shown[:, : half - 1] - encoded(parts["ambient.cosine"])[:, : half - 1]).max() <= 0.51
+    assert np.abs(shown[:, half + 1 :] - encoded(parts["reference.ambient"])[:, half + 1 :]).max() <= 0.51
+
+
+@pytest.mark.parametrize("map_", ["signed", "relative", "deviations"])
+def test_maps_are_blue_where_ours_is_darker_and_red_where_brighter(view, run, map_):
+    page = view(f"#term=direct&beside={map_}")
+    parts = images.read_exr(run / "images" / f"{SCENE}.exr")
+    apart = parts["direct.next-event"].astype(float) - parts["reference.direct all"]
+    if map_ == "deviations":
+        with xarray.open_dataset(run / "results.nc", group=SCENE, engine="h5netcdf") as data:
+            apart /= np.sqrt(data["image_variance"].values[2] + data["reference_variance"].values[3])
+        greatest = np.abs(apart).argmax(axis=-1, keepdims=True)
+        apart = np.take_along_axis(apart, greatest, axis=-1)[..., 0]
+    else:
+        apart = apart @ np.array([0.2126, 0.7152, 0.0722])
+    shown = middles(page, "right")
+    redder = shown[..., 0] - shown[..., 2]
+    clear = np.abs(apart) > 0.1 * np.quantile(np.abs(apart), 0.99)
+    assert clear.sum() > SIZE
+    assert np.array_equal(np.sign(redder[clear]), np.sign(apart[clear]))
+
+
+def test_flip_map_is_black_where_nothing_differs_and_bright_where_all_does(view):
+    dark = middles(view("#term=direct&beside=flip"), "right").sum(axis=-1)
+    other = middles(view("#term=ambient&against=physical&beside=flip"), "right").sum(axis=-1)
+    assert dark.mean() < 0.6 * other.mean()
+
+
+def test_keys_and_controls_change_the_view_and_the_address_restores_it(view, context):
+    page = view("#term=ambient")
+    caption = page.locator("#left + figcaption")
+
+    def shows(text):
+        ready(page)
+        assert text in caption.inner_text()
+
+    shows("ours, cosine")
+    for key, text in (
+        ("2", "ours, paper"), ("o", "own limit (ambient times 3.14159)"), ("c", "correct (ambient)"),
+        ("p", "physical (ambient physical)"), ("f", "ours, paper"), ("1", "ours, cosine"), ("f", "physical"),
+    ):  # fmt: skip
+        page.keyboard.press(key)
+        shows(text)
+    page.get_by_role("button", name="Flip").click()
+    shows("ours, cosine")
+    page.get_by_role("group", name="Picture").get_by_label("paper").check()
+    shows("ours, paper")
+    page.get_by_role("group", name="Reference").get_by_label("correct").check()
+    page.get_by_role("group", name="Beside it").get_by_label("relative error").check()
+    page.get_by_role("slider", name="Exposure").fill("1.5")
+    page.get_by_label("Curve").select_option("gamma")
+    page.get_by_role("slider", name="Gamma").fill("1.8")
+    page.get_by_role("checkbox", name="Split").check()
+    page.get_by_role("slider", name="at", exact=True).fill("0.25")
+    page.get_by_role("button", name="Zoom in").click()
+    page.locator("#left").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Shift+ArrowDown")
+    ready(page)
+    seen = page.url.split("#")[1], numbers(page), screen(page, "left"), screen(page, "right")
+    again = view(f"#{seen[0]}")
+    assert numbers(again) == seen[1]
+    for panel, before in (("left", seen[2]), ("right", seen[3])):
+        # Focus has changed nothing of what is drawn.
+        assert np.array_equal(screen(again, panel), before)
+    for key, part in (("e", "ev=2"), ("m", "beside=deviations"), ("s", "at=0.25"), ("t", "term=direct")):
+        again.locator("h1").click()
+        again.keyboard.press(key)
+        ready(again)
+        assert part in again.url
+    assert "split" not in again.url
+    again.get_by_role("button", name="Reset").click()
+    ready(again)
+    assert again.url.endswith("#")
+    again.get_by_text("Keys", exact=True).click()
+    again.get_by_label("Single keys act").uncheck()
+    again.keyboard.press("e")
+    assert again.url.endswith("#")
+
+
+def test_zoom_and_pan_move_both_panels(view):
+    page = view("#term=ambient&beside=reference")
+    before = screen(page, "left"), screen(page, "right")
+    box = page.locator("#left").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 4)
+    page.mouse.wheel(0, -400)
+    page.wait_for_function("location.hash.includes('zoom=2')")
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, steps=4)
+    page.mouse.up()
+    ready(page)
+    # Zoomed by 2 about a quarter, then dragged back by a quarter: what was at 1/8 is at 1/4, now at 1/2, so the
+    # corner is in view.
+    assert "pixel" not in page.url
+    after = screen(page, "left"), screen(page, "right")
+    side = before[0].shape[0]
+    for old, new in zip(before, after, strict=True):
+        assert not np.array_equal(old, new)
+        at = ((np.arange(SIZE // 2) + 0.5) * side / SIZE).astype(int)
+        assert np.array_equal(old[at][:, at], new[2 * at][:, 2 * at])
+
+
+def test_a_click_holds_a_pixel(view):
+    page = view("#term=ambient")
+    box = page.locator("#right").bounding_box()
+    place = {"x": box["width"] * 3.5 / SIZE, "y": box["height"] * 2.5 / SIZE}
+    page.locator("#right").click(position=place)
+    ready(page)
+    assert page.url.endswith("pixel=3,2")
+    assert numbers(page)["red"][0] == 1234.5
+    page.locator("#right").click(position=place)
+    ready(page)
+    assert "pixel" not in page.url
+
+
+def test_references_that_a_run_lacks_are_not_offered(view):
+    page = view("#term=direct&against=physical")
+    assert page.get_by_role("group", name="Reference").get_by_role("radio").count() == 2
+    assert (
+        "own limit" in page.locator("#inspector caption").inner_text()
+        or page.locator("#against input:checked").get_attribute("value") == "own"
+    )
+
+
+@pytest.mark.parametrize(
+    "state", ["#term=no&variant=no&beside=no&ev=x&zoom=-4&pixel=99,1", "#pixel=1", "#zoom=1e9&x=1e9", "#=&&"]
+)
+def test_a_senseless_address_shows_the_start(view, state):
+    page = view(state)
+    assert numbers(page) == {}
+    assert screen(page, "left").any()
+
+
+def test_missing_pixels_are_named(context, run, tmp_path):
+    (tmp_path / "scenes").mkdir()
+    copied = tmp_path / "scenes" / f"{SCENE}.viewer.html"
+    copied.write_bytes((run / "scenes" / copied.name).read_bytes())
+    for name in ("viewer.js", "viewer.css", "style.css"):
+        (tmp_path / name).write_bytes((run / name).read_bytes())
+    page = opened(context, copied.as_uri()).page
+    page.wait_for_selector("#viewer[data-state=failed]")
+    assert re.search(r"data/two_cubes/\S+\.js could not be read", page.locator("#status").inner_text())
+
+
+def test_without_javascript_the_static_pictures_stand(browser, run):
+    context = browser.new_context(java_script_enabled=False, offline=True)
+    page = context.new_page()
+    page.goto((run / "scenes" / f"{SCENE}.viewer.html").as_uri())
+    assert page.locator("#viewer").is_hidden()
+    assert page.locator("noscript img").count() == 3 * len(CELLS)
+    context.close()
+
+
+def test_a_single_file_holds_every_page(context, run, tmp_path):
+    alone = tmp_path / "mailed.html"
+    alone.write_bytes(single.write(run).read_bytes())
+    (run / "report.html").unlink()
+    its = opened(context, alone.as_uri())
+    frame = its.page.frame_locator("#page")
+    frame.get_by_role("navigation").get_by_role("link", name=SCENES[1]).click()
+    frame.locator(".plot .main-svg").first.wait_for()
+    assert frame.locator("img").first.evaluate("(image) => image.naturalWidth") == SIZE
+    frame.get_by_role("link", name="Look at the pixels").click()
+    frame.locator("#viewer[data-state=ready]").wait_for()
+    its.page.keyboard.press("Tab")
+    frame.locator("#left").click()
+    assert frame.locator("#inspector tbody tr").count() == 4
+    assert its.complaints == []
+
+
+@pytest.mark.parametrize("width", [800, 1300])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    "name", ["index.html", "method.html", f"scenes/{SCENE}.html", f"scenes/{SCENE}.viewer.html"]
+)
+def test_axe_finds_nothing_serious(browser, run, name, scheme, width):
+    context = browser.new_context(
+        color_scheme=scheme, offline=True, viewport={"width": width, "height": 1000}
+    )
+    page = opened(context, (run / name).as_uri()).page
+    if "viewer" in name:
+        ready(page)
+        page.locator("summary").click()
+    page.add_script_tag(content=AXE.read_text("utf-8"))
+    found = page.evaluate("axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa']})")
+    overflow = page.evaluate("document.documentElement.scrollWidth - innerWidth")
+    context.close()
+    assert found["passes"]
+    serious = [each for each in found["violations"] if each["impact"] in ("serious", "critical")]
+    assert [(each["id"], [node["target"] for node in each["nodes"]][:3]) for each in serious] == []
+    assert overflow <= 0
