@@ -56,7 +56,7 @@ def audit(
         are given the bias that they print.
     rows, plants : what is rendered.
     seed : of everything random.
-    jobs : processes for what is not rendered.
+    jobs : processes at once.
     stages : shows the progress.
 
     Returns
@@ -69,7 +69,7 @@ def audit(
     of_rows = nulls.rendered(rendered_each, seed=seed, rows=rows, report=stages("rendered nulls"))
     rendered = sum(of_rows.values(), Alarms(0, 0, 0))
     detected = share_found(np.random.default_rng(seed), detections)
-    controls, found = faults.run(plants, seed=seed, report=stages("planted faults"))
+    controls, found = faults.run(plants, seed=seed, jobs=jobs, report=stages("planted faults"))
     caught = sum(outcome.caught for outcome in found.values())
     welch = stats.binomtest(of_pixels.welch, of_pixels.runs, LEVEL)
     interval = welch.proportion_ci(1 - BLIND)
@@ -194,7 +194,7 @@ def main(
     seed
         Of everything random.
     jobs
-        Processes for what is not rendered.
+        Processes at once.
     quiet
         No progress on standard error.
     """

@@ -13,7 +13,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
+from queue import SimpleQueue
 
 import attrs
 import numpy as np
@@ -29,6 +32,7 @@ from tests.verdict.synthetic import RUN
 
 REPLICATES = 16
 """K = R."""
+_TRUTH_SPP, _TRUTH_MAPS = 512, 4
 TESTS = ("mean", "shape", "place", "check")
 """What may catch a fault; `check` is an error that names what is wrong, or a pixel that no radiance can be."""
 BIASED = WORDS["right"][0]
@@ -128,7 +132,6 @@ class Tree:
             "PYTHONPATH": str(self.root),
             "PYTHONDONTWRITEBYTECODE": "1",
             "TERMWISE_CACHE": str(self.root / "cache"),
-            "NUMBA_DISABLE_JIT": "0" if case.compiled else "1",
         }
         settings = json.dumps({"case": attrs.asdict(case), "count": REPLICATES, "seed": self.seed})
         try:
@@ -154,16 +157,16 @@ def truth(case: Case, *, seed: int) -> np.ndarray:
     limit, kernel = variant.limit(scene, case.samples), variant.kernel(scene, case.samples)
     if kernel is not None:
         limit = attrs.evolve(limit, kernel=kernel)
-    # Maps of the twin have 2**18 photons each, whatever the scene says.
-    spp = 16 * case.samples if kernel is None else 2
+    # Of a twin, photon maps: each has many more photons than the scene says.
+    spp = _TRUTH_SPP if kernel is None else _TRUTH_MAPS
     folder = cache_folder() / "reference"
     return store.replicates(scene, limit, spp=spp, seed=seed, count=REPLICATES, folder=folder).images
 
 
 def run(
-    plants: tuple[Plant, ...], *, seed: int, report: Callable[[str, int, int], object]
+    plants: tuple[Plant, ...], *, seed: int, jobs: int, report: Callable[[str, int, int], object]
 ) -> tuple[dict[Case, Judged], dict[str, Judged]]:
-    """Judge every case without a fault, then every fault.
+    """Judge every case without a fault, then every fault; `jobs` copies of the sources are rendered from at once.
 
     Returns
     -------
@@ -178,17 +181,32 @@ def run(
     for plant in plants:
         plant.changed(PROJECT)
     cases = tuple(dict.fromkeys(plant.case for plant in plants))
-    steps = len(cases) + len(plants)
+    work: list[tuple[Plant | None, Case]] = [(None, case) for case in cases]
+    work += [(plant, plant.case) for plant in plants]
     controls, found = {}, {}
-    with Tree(seed=seed) as tree:
-        for done, (plant, case) in enumerate(
-            [*((None, case) for case in cases), *((p, p.case) for p in plants)]
-        ):
-            report(plant.name if plant else f"control: {case.term} {case.variant}", done, steps)
-            outcome = judge(tree.replicates(case, plant), truth(case, seed=seed))
-            if plant is None:
-                controls[case] = outcome
-            else:
-                found[plant.name] = outcome
-    report("faults", steps, steps)
+    trees: SimpleQueue[Tree] = SimpleQueue()
+    with ExitStack() as folders, ThreadPoolExecutor(jobs) as pool:
+        for _ in range(jobs):
+            trees.put(folders.enter_context(Tree(seed=seed)))
+
+        def render(plant: Plant | None, case: Case) -> np.ndarray:
+            tree = trees.get()
+            try:
+                return tree.replicates(case, plant)
+            finally:
+                trees.put(tree)
+
+        rendered = [pool.submit(render, plant, case) for plant, case in work]
+        try:
+            truths = {case: truth(case, seed=seed) for case in cases}
+            for done, ((plant, case), images) in enumerate(zip(work, rendered, strict=True)):
+                report(plant.name if plant else f"control: {case.term} {case.variant}", done, len(work))
+                outcome = judge(images.result(), truths[case])
+                if plant is None:
+                    controls[case] = outcome
+                else:
+                    found[plant.name] = outcome
+        finally:
+            pool.shutdown(cancel_futures=True)
+    report("faults", len(work), len(work))
     return controls, found

@@ -14,7 +14,7 @@ from tests.audit.plants import BACKGROUND, PLANTS
 from tests.audit.worker import Case
 from tests.verdict.synthetic import picture, replicates
 
-TINY = Case("cornell_box", "ambient", "constant", side=4)
+TINY = Case("cornell_box", "ambient", "constant", samples=1, side=4)
 """No occlusion ray, little noise, no shader to speak of for Mitsuba."""
 GAIN = next(plant for plant in PLANTS if plant.name == "1 % gain")
 

@@ -32,16 +32,13 @@ class Case:
         object's faces look the other way.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
-    compiled : whether kernels are compiled: a fault that is small needs many samples, a large one is shown by plain
-        Python in less time than one takes to compile.
     """
 
     scene: str
     term: str
     variant: str
-    samples: int = 1
-    side: int = 16
-    compiled: bool = False
+    samples: int
+    side: int = 32
 
     def build(self) -> Scene:
         """The scene at the case's resolution."""
@@ -68,7 +65,7 @@ class Case:
 def replicates(case: Case, count: int, seed: int) -> np.ndarray:
     """(count, H, W, 3) float32."""
     images = []
-    with Engine(case.build()) as engine:
+    with Engine(case.build(), threads=1) as engine:
         for k in range(count):
             *_, (_, image, _) = engine.prefixes(
                 find(case.term, case.variant), samples=case.samples, seed=seed, replicate=k
