@@ -59,13 +59,13 @@ def _direct(loaded: Any, limit: dict[str, Any]) -> Any:
 
 
 def _mixture(loaded: Any, limit: dict[str, Any]) -> Any:
-    """(si, sampler, active) -> local direction and weight of one sample of `k g S`."""
+    """(si, point, sampler, active) -> local direction and weight of one sample of `k g S`."""
     context = mi.BSDFContext()
     factor = dr.opaque(mi.Float, limit["lobe"])
 
-    def sample(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+    def sample(si: Any, point: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         bsdf = si.bsdf()
-        by_lobe, _ = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+        by_lobe, _ = bsdf.sample(context, si, sampler.next_1d(active), point, active)
         cosine = rays.side(loaded, si) * mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
         wo = dr.select(sampler.next_1d(active) < 0.5, by_lobe.wo, cosine)
         value, density = bsdf.eval_pdf(context, si, wo, active)

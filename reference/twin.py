@@ -12,7 +12,8 @@ leave Mitsuba's emitters (`sample_ray`), fly by its `ray_intersect`, and are gat
 # pyright: reportArgumentType=false, reportCallIssue=false
 # Mitsuba's stubs do not know the types of the variant in use.
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -25,7 +26,7 @@ from .terms import direct, shadows, specular
 from .wavefront import camera_samples, pixel_means, shape_pointer
 
 MAX_SURVIVAL = 0.99
-PHOTONS = 2**18  # of a map whose mean does not depend on the count
+PHOTONS = 100_000  # that are traced for a map whose mean does not depend on their count
 LIGHT_SAMPLES = 32  # a pixel and map, of the first hits that no photon stands for
 CHAINS = 16  # a pixel and map: they share the map
 POINTS = 2**14  # gathered together: bounds memory
@@ -40,12 +41,40 @@ class Surfaces(NamedTuple):
     first : (O,) number of each shape's first face.
     faces : the triangles.
     albedo : (F + 1, 3), `color (1 - g)` of each face; the last, black, is that of a miss.
+    survival : (F + 1,), `P = min(MAX_SURVIVAL, largest channel of the albedo)`.
+    emitters : all of them.
     """
 
     scene: Any
     first: np.ndarray
     faces: Faces
     albedo: np.ndarray
+    survival: np.ndarray
+    emitters: tuple["Emitter", ...]
+
+
+class Emitter(NamedTuple):
+    """One of Mitsuba's emitters, whose rays all weigh the same.
+
+    Attributes
+    ----------
+    plugin : mi.Emitter
+    share : of the photons: the power's mean channel over that of all emitters.
+    power : (1, 3), flux of the emitter.
+    origin : (1, 3), where a point light is.
+    cone : of a point light, unit axis (3,) and cosine of the edge of a cone about all faces; None for other lights.
+    """
+
+    plugin: Any
+    share: float
+    power: np.ndarray
+    origin: np.ndarray
+    cone: tuple[np.ndarray, float] | None
+
+    @property
+    def aimed(self) -> float:
+        """Share of its photons that are traced."""
+        return 1.0 if self.cone is None else 0.5 * (1.0 - self.cone[1])
 
 
 class Sights(NamedTuple):
@@ -76,25 +105,29 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
         surfaces = surfaces_of(loaded.scenes["direct"])
         dark = shadows.rule(loaded, limit, "direct")
         sights = _sights(loaded, limit, spp, seed)
-        for number in range(spp):
-            rng = np.random.default_rng((seed, number))
-            radius = pass_radius(kernel, (number + rng.random()) / spp) * description["scale"]
-            photons = trace(
-                surfaces,
-                rng,
-                count=kernel["photons"] if kernel["shape"] == "nearest" else PHOTONS,
-                first_hits=kernel["stored"] == "all",
-                weighted=kernel["weighted"],
-            )
-            seen = sights(number)
-            points = _hits(surfaces, seen.origin, seen.direction, dark)
-            lit = np.flatnonzero(surfaces.albedo[points.face].any(axis=1))
-            for start in range(0, len(lit), POINTS):
-                block = lit[start : start + POINTS]
-                here = Points(*(column[block] for column in points))
-                irradiance = _irradiance(kernel, radius, surfaces.faces, here, photons)
-                radiance = seen.weight[block] * surfaces.albedo[here.face] * irradiance
-                np.add.at(image, seen.pixel[block], radiance)
+        count = kernel["photons"]
+        if kernel["shape"] != "nearest":
+            count = round(PHOTONS / sum(each.share * each.aimed for each in surfaces.emitters))
+        # Mitsuba's part of a map runs beside numpy's and scipy's of the one before.
+        with ThreadPoolExecutor(1) as gatherer:
+            gathered: list[Future[tuple[np.ndarray, np.ndarray]]] = []
+            for number in range(spp):
+                rng = np.random.default_rng((seed, number))
+                radius = pass_radius(kernel, (number + rng.random()) / spp) * description["scale"]
+                photons = trace(
+                    surfaces,
+                    rng,
+                    count=count,
+                    first_hits=kernel["stored"] == "all",
+                    weighted=kernel["weighted"],
+                )
+                seen = sights(number)
+                points = _hits(surfaces, seen.origin, seen.direction, dark)
+                gathered.append(gatherer.submit(_gather, kernel, radius, surfaces, seen, points, photons))
+                if len(gathered) == 2:
+                    _add(image, gathered.pop(0))
+            for each in gathered:
+                _add(image, each)
     image = image.reshape(1, height, width, 3) * (description["irradiance_factor"] / (np.pi * spp))
     return image + _rest(loaded, limit, spp=spp, seed=seed)
 
@@ -156,6 +189,24 @@ def _sights(loaded: Any, limit: dict[str, Any], maps: int, seed: int) -> Callabl
     return sights
 
 
+def _gather(
+    kernel: dict[str, Any], radius: float, surfaces: Surfaces, seen: Sights, points: Points, photons: Photons
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N,) and radiances (N, 3) times pi of the points that are lit."""
+    lit = np.flatnonzero(surfaces.survival[points.face])
+    radiance = np.empty((len(lit), 3))
+    for start in range(0, len(lit), POINTS):
+        block = lit[start : start + POINTS]
+        here = Points(*(column[block] for column in points))
+        irradiance = _irradiance(kernel, radius, surfaces.faces, here, photons)
+        radiance[start : start + POINTS] = seen.weight[block] * surfaces.albedo[here.face] * irradiance
+    return seen.pixel[lit], radiance
+
+
+def _add(image: np.ndarray, gathered: Future[tuple[np.ndarray, np.ndarray]]) -> None:
+    np.add.at(image, *gathered.result())
+
+
 def pass_radius(kernel: dict[str, Any], fraction: float) -> float:
     """Radius of the pass that stands at a fraction in [0, 1) of all, in scene units."""
     i = np.arange(1, int(fraction * kernel["passes"]) + 1)
@@ -182,9 +233,10 @@ def surfaces_of(scene: Any) -> Surfaces:
     counts = [len(each) for each in corners]
     owner = np.repeat(np.arange(len(counts)), counts)
     faces = density.faces(np.concatenate(corners), owner)
-    return Surfaces(
-        scene, np.cumsum([0, *counts[:-1]]), faces, np.array([*albedo, np.zeros(3)])[[*owner, -1]]
-    )
+    of_faces = np.array([*albedo, np.zeros(3)])[[*owner, -1]]
+    survival = np.minimum(of_faces.max(axis=1), MAX_SURVIVAL)
+    first = np.cumsum([0, *counts[:-1]])
+    return Surfaces(scene, first, faces, of_faces, survival, emitters_of(scene, faces))
 
 
 def trace(
@@ -198,24 +250,25 @@ def trace(
     weighted : whether a survivor of the roulette is multiplied by albedo / P, so that the flux is that of the light;
         without, it is that of light scattered with the grey albedo P.
     """
-    origin, direction, power = _emitted(surfaces.scene, rng, count)
+    origin, direction, power = _emitted(surfaces.emitters, rng, count)
     landed = [Photons(*np.zeros((3, 0, 3)), np.zeros(0, np.int64))]
     kept = first_hits
     while len(origin):
         hit = _hits(surfaces, origin, direction)
-        albedo = surfaces.albedo[hit.face]
-        survival = np.minimum(_largest(albedo), MAX_SURVIVAL)
+        survival = surfaces.survival[hit.face]
+        # Most photons of a point light meet nothing: what follows is of the others alone.
+        here = np.flatnonzero(survival)
         if kept:
-            here = survival > 0.0
             landed.append(Photons(hit.position[here], -direction[here], power[here], hit.face[here]))
         kept = True
-        alive = rng.random(len(origin)) < survival
-        normal = surfaces.faces.normals[hit.face[alive]] * hit.side[alive, None]
+        alive = here[rng.random(len(here)) < survival[here]]
+        face = hit.face[alive]
+        normal = surfaces.faces.normals[face] * hit.side[alive, None]
         origin = _offset(hit.position[alive], normal)
         direction = _cosine_distributed(normal, rng.random((len(normal), 2)))
         power = power[alive]
         if weighted:
-            power = power * albedo[alive] / survival[alive, None]
+            power = power * (surfaces.albedo[face] / survival[alive, None])
     return Photons(*(np.concatenate(column) for column in zip(*landed, strict=True)))
 
 
@@ -239,28 +292,66 @@ def _cosine_distributed(normal: np.ndarray, uniform: np.ndarray) -> np.ndarray:
     return np.where(length > 0.0, chord / np.where(length > 0.0, length, 1.0), normal)
 
 
-def _emitted(scene: Any, rng: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:
-    """Origin, direction and power (count, 3) of photons; emitters are chosen by the mean channel of their power."""
+def emitters_of(scene: Any, faces: Faces) -> tuple[Emitter, ...]:
+    """Read the emitters of a scene."""
+    found = []
+    for emitter in scene.emitters():
+        origin, _, power = _rays(emitter, np.full((1, 4), 0.5))
+        point = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition)
+        found.append(Emitter(emitter, power.mean(), power, origin, _cone(faces, origin) if point else None))
+    total = sum(each.share for each in found)
+    return tuple(each._replace(share=each.share / total) for each in found)
 
-    def emit(emitter: Any, uniform: np.ndarray) -> list[np.ndarray]:
-        def sample(position: Any, direction: Any) -> tuple[Any, ...]:
-            ray, power = emitter.sample_ray(0.0, 0.5, position, direction)
-            return ray.o, ray.d, power
 
-        return _each(sample, uniform[:, :2], uniform[:, 2:])
+def _rays(emitter: Any, uniform: np.ndarray) -> list[np.ndarray]:
+    """Origins, directions and weights (N, 3) of an emitter's rays by numbers (N, 4)."""
 
-    # The weight of any ray is the emitter's whole power: ours are uniform over their surface and directions.
-    total = np.array([emit(emitter, np.full((1, 4), 0.5))[2].mean() for emitter in scene.emitters()])
-    share = total / total.sum()
-    counts = rng.multinomial(count, share)
-    parts = np.split(rng.random((count, 4)), np.cumsum(counts)[:-1])
-    rays = [
-        emit(emitter, uniform)
-        for emitter, uniform in zip(scene.emitters(), parts, strict=True)
-        if len(uniform)
-    ]
-    origin, direction, power = (np.concatenate(column) for column in zip(*rays, strict=True))
-    return origin, direction, power / (count * np.repeat(share, counts)[:, None])
+    def sample(position: Any, direction: Any) -> tuple[Any, ...]:
+        ray, power = emitter.sample_ray(0.0, 0.5, position, direction)
+        return ray.o, ray.d, power
+
+    return _each(sample, uniform[:, :2], uniform[:, 2:])
+
+
+def _cone(faces: Faces, light: np.ndarray) -> tuple[np.ndarray, float]:
+    """Axis and cosine of the edge of a cone from a light (1, 3) about all faces; all directions if it is not convex."""
+    ways = faces.corners.reshape(-1, 3) - light
+    distance = np.linalg.norm(ways, axis=1, keepdims=True)
+    if distance.all():
+        ways /= distance
+        axis = ways.min(axis=0) + ways.max(axis=0)
+        axis /= np.linalg.norm(axis) or 1.0
+        edge = (ways @ axis).min()
+        if edge > 0.0:
+            return axis, edge
+    return np.array([0.0, 0.0, 1.0]), -1.0
+
+
+def _emitted(emitters: Sequence[Emitter], rng: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:
+    """Origin, direction and power (N, 3) of photons; emitters are chosen by the mean channel of their power.
+
+    Of the `count` photons those of a point light that pass by all faces are left out, as many as chance has it.
+    """
+    rays = []
+    for emitter, number in zip(emitters, rng.multinomial(count, [e.share for e in emitters]), strict=True):
+        if emitter.cone is not None:
+            direction = _uniform_cone(*emitter.cone, rng, rng.binomial(number, emitter.aimed))
+            origin, power = (np.broadcast_to(row, direction.shape) for row in (emitter.origin, emitter.power))
+        elif number:
+            origin, direction, power = _rays(emitter.plugin, rng.random((number, 4)))
+        else:
+            continue
+        rays.append((origin, direction, power / (count * emitter.share)))
+    return tuple(np.concatenate(column) for column in zip(*rays, strict=True))
+
+
+def _uniform_cone(axis: np.ndarray, edge: float, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Directions (count, 3) uniform in a cone."""
+    z, azimuth = rng.uniform(edge, 1.0, count), rng.uniform(0.0, 2.0 * np.pi, count)
+    ring = np.sqrt(1.0 - z * z)
+    frame = np.linalg.svd(axis[None])[2]  # an orthonormal basis, its first vector the axis up to its sign
+    frame = np.stack([frame[1], frame[2], axis])
+    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1) @ frame
 
 
 def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray, dark: Any = None) -> Points:

@@ -1,8 +1,9 @@
 """Pixel means over camera rays: `(1/N) Σ estimate(ray_k)`, the rays made from the paper's own formula.
 
-No film, filter or sensor of Mitsuba takes part, so that no pixel-position difference can pass for a bias. Inside a
-pixel the rays lie on a randomly shifted lattice: every ray is uniform in the pixel, hence no bias, and edges and
-textures have less variance than under independent positions.
+No film, filter or sensor of Mitsuba takes part, so that no pixel-position difference can pass for a bias. A pixel's
+rays, the first directions of its chains and what else is chosen once a sample lie on a randomly shifted lattice of five
+dimensions: every sample is uniform, hence no bias, and edges, textures and lobes have less variance than under
+independent numbers.
 """
 
 # pyright: reportOperatorIssue=false
@@ -17,6 +18,7 @@ import numpy as np
 
 WIDTH = 2**20  # rays of one pass: bounds memory
 GOLDEN = 0.6180339887498949
+STEPS = 3518319155, 2882110345, 2360945575  # 2^32 / r^k, r^4 = r + 1: Roberts' sequence of three dimensions
 UNBOUNDED = 1e30  # a length that stands for infinity, see `translate`
 
 
@@ -27,12 +29,14 @@ class Samples(NamedTuple):
     ----------
     ray : mi.Ray3f at the canonical scale.
     sampler : mi.Sampler, seeded for the lanes.
-    number : mi.UInt32; counts through a pixel's samples from a random start, so that `number % m` is uniform.
+    lobe : mi.Point2f, uniform: what a chain draws its first direction by.
+    choice : mi.Float, uniform in [0, 1): what a chain chooses its vertex by.
     """
 
     ray: Any
     sampler: Any
-    number: Any
+    lobe: Any
+    choice: Any
 
 
 Estimator = Callable[[Samples], tuple[Any, ...]]
@@ -103,9 +107,14 @@ def camera_samples(
     width, height = camera["resolution"]
     row = pixel // dr.opaque(mi.UInt32, width)
     column = pixel - row * dr.opaque(mi.UInt32, width)
-    start, shift_x = mi.sample_tea_32(pixel, seed)
+    shift_x, shift_y = mi.sample_tea_32(pixel, seed)
+    shift_u, shift_v = mi.sample_tea_32(shift_x, shift_y)
+    shift_c, _ = mi.sample_tea_32(shift_u, shift_v)
+    shifts = shift_u, shift_v, shift_c
+    u, v, choice = (
+        _unit((index * step + shift) & 0xFFFFFFFF) for step, shift in zip(STEPS, shifts, strict=True)
+    )
     if camera["pixel"] == "jitter":
-        shift_y, _ = mi.sample_tea_32(shift_x, seed)
         x = _fraction(mi.Float(index) / mi.Float(count) + _unit(shift_x))
         y = _fraction(mi.Float(index) * GOLDEN + _unit(shift_y))
     else:
@@ -115,7 +124,7 @@ def camera_samples(
     corner, across, down = (dr.opaque(mi.Vector3f, camera[axis]) for axis in ("corner", "across", "down"))
     direction = dr.normalize(corner + x * across + y * down)
     origin = dr.opaque(mi.Point3f, camera["origin"])
-    return Samples(mi.Ray3f(origin, direction), sampler, (start >> 16) + index)
+    return Samples(mi.Ray3f(origin, direction), sampler, mi.Point2f(u, v), choice)
 
 
 def _unit(bits: Any) -> Any:

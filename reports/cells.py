@@ -37,7 +37,7 @@ class Cell:
     Attributes
     ----------
     own : the limit that it is judged against.
-    samples : (P,) the prefixes 1, 2, 4, ..., N.
+    samples : (P,) the prefixes 1, 2, 4, ..., N, or N alone.
     images : (K, P, H, W, 3) float32.
     files : of the replicates, in order; none of an estimator in Python.
     seconds : (K, P) float64, wall-clock up to each prefix, compilation apart.
@@ -91,14 +91,16 @@ def cell(
     folder: Path,
     progress: Callable[[], object],
     before: Cell | None = None,
+    swept: bool = True,
 ) -> Cell:
     """Take the replicates of a cell from `folder`; compute and keep those that it lacks.
 
-    `progress` is called after each replicate. `before` are the first replicates of the same cell, where a run has
-    them at hand: they are not taken again.
+    `swept`: whether images are kept at 1, 2, 4, ... samples, or at the last alone. `progress` is called after each
+    replicate. `before` are the first replicates of the same cell, where a run has them at hand: they are not taken
+    again.
     """
     name = key(engine.scene, variant, samples=samples, seed=seed, chain=chain)
-    prefixes = powers_of_two(samples)
+    prefixes = powers_of_two(samples) if swept else (samples,)
     width, height = engine.scene.resolution
     compiled = engine.compile_seconds
     images, seconds, files, counts = [], [], [], np.zeros(len(COUNTERS), np.int64)
@@ -114,7 +116,9 @@ def cell(
         if kept is None:
             done = np.array(list(engine.counts.values()))
             steps = list(
-                engine.prefixes(variant, samples=samples, seed=seed, replicate=replicate, chain=chain)
+                engine.prefixes(
+                    variant, samples=samples, seed=seed, replicate=replicate, chain=chain, counts=prefixes
+                )
             )
             kept = {
                 "images": np.stack([image for _, image, _ in steps]).astype(np.float32),

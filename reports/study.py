@@ -135,7 +135,8 @@ class Study:
     audit : whether references are held against a second integrator too, beside their halves (`reports.references`).
     physical_spp : the same for full light transport, against which no verdict is due.
     twin_maps : photon maps a replicate of the twins, which kernel estimates are then judged against (at least 64 over
-        all replicates are wanted); None: they are judged against E itself, with their allowance.
+        all replicates are wanted), twice as many for `paper`; None: they are judged against E itself, with their
+        allowance.
     photons : photons per pass at most, instead of a scene's larger count; None: the scenes' own.
     photons_of : photons per pass of the scenes named, whatever `photons` and the scenes say.
     samples : samples per pixel and replicate of a term, or of one variant as "term.variant"; powers of two keep

@@ -2,8 +2,8 @@
 
 S is the integral against the Cook-Torrance lobe, of factor k (`lobe`), H against a white Lambertian one, of factor k_d
 (`diffuse`). A chain of up to M samples of them is traced. The sky is added where it leaves the scene; the diffuse terms
-at the vertices 1..M are estimated at one of them a chain, vertex `1 + (number mod M)`, with weight M: the same mean as
-at every vertex for a fraction of the work. Lights are never met: their surfaces are black and end the chain.
+at the vertices 1..M are estimated at one of them a chain, all as likely, with weight M: the same mean as at every
+vertex for a fraction of the work. Lights are never met: their surfaces are black and end the chain.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Sam
     scene, sky_radiance = loaded.scenes["specular"], loaded.sky
     sampler = samples.sampler
     last = dr.opaque(mi.UInt32, bounces)
-    chosen = samples.number % last
+    chosen = dr.minimum(mi.UInt32(samples.choice * mi.Float(last)), last - 1)
     ray = mi.Ray3f(samples.ray)
     si = scene.ray_intersect(ray)
     active = mi.Bool(si.is_valid())
@@ -72,7 +72,8 @@ def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Sam
     kept_weight = mi.Color3f(0.0)
     kept = mi.Bool(False)
     while active:
-        direction, weight = sample_lobes(si, sampler, active)
+        point = dr.select(depth == 0, samples.lobe, sampler.next_2d(active))
+        direction, weight = sample_lobes(si, point, sampler, active)
         throughput *= weight
         active &= dr.any(throughput != 0.0)
         ray, si = rays.leave(loaded, scene, si, si.spawn_ray(si.to_world(direction)), active)
@@ -88,7 +89,7 @@ def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Sam
 
 
 def lobes(loaded: Any, limit: dict[str, Any]) -> Any:
-    """(si, sampler, active) -> local direction and weight of one sample of `g (k S + k_d H)`."""
+    """(si, point, sampler, active) -> local direction and weight of one sample of `g (k S + k_d H)`, by the point."""
     lobe, diffuse = limit["lobe"], limit["diffuse"]
     outgoing = limit["cosine"] == "outgoing"
     if outgoing and limit["rings"] is not None:
@@ -100,8 +101,8 @@ def lobes(loaded: Any, limit: dict[str, Any]) -> Any:
         # `twosided` turns the lobe to the viewer; about the normal of a face it is 0 from behind.
         return True if loaded.description["normals"] == "viewer" else si.wi.z > 0.0
 
-    def visible_normals(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
-        bs, weight = si.bsdf().sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+    def visible_normals(si: Any, point: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        bs, weight = si.bsdf().sample(context, si, sampler.next_1d(active), point, active)
         weight = weight * factor
         if outgoing:
             # The view's cosine in place of the light's; the weight's G1 falls as fast as the latter.
@@ -109,18 +110,18 @@ def lobes(loaded: Any, limit: dict[str, Any]) -> Any:
             weight = dr.select(dr.any(weight != 0.0), weight * ratio, 0.0)
         return bs.wo, dr.select(shown(si), weight, 0.0)
 
-    def either(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
-        wo, weight = visible_normals(si, sampler, active)
+    def either(si: Any, point: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        wo, weight = visible_normals(si, point, sampler, active)
         share = diffuse / (diffuse + lobe)
         gloss = si.bsdf().eval_diffuse_reflectance(si, active)
-        cosine = rays.side(loaded, si) * mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
+        cosine = rays.side(loaded, si) * mi.warp.square_to_cosine_hemisphere(point)
         chosen = sampler.next_1d(active) < share
         return dr.select(chosen, cosine, wo), dr.select(
             chosen, gloss * (diffuse / share), weight / (1.0 - share)
         )
 
-    def on_rings(si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
-        local = ambient.ring_direction(sampler.next_2d(active), limit["rings"])
+    def on_rings(si: Any, point: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        local = ambient.ring_direction(point, limit["rings"])
         wo = rays.side(loaded, si) * local
         bsdf = si.bsdf()
         gloss = bsdf.eval_diffuse_reflectance(si, active)

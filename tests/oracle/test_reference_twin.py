@@ -236,6 +236,28 @@ def traced(scene: Scene, maps: int, count: int, **options) -> list[Photons]:
     return [twin.trace(surfaces, np.random.default_rng((11, k)), count=count, **options) for k in range(maps)]
 
 
+@pytest.mark.parametrize(("height", "beside"), [(0.3, 0.0), (2.0, 0.0), (1.0, 5.0), (0.3, 1.0)])
+def test_flux_of_a_point_light_on_a_square(height, beside):
+    """I Ω lands, Ω the square's solid angle, though photons outside of the cone about it are never traced."""
+    square = plate("square", (-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
+    scene = attrs.evolve(
+        closed_box(), objects=(square,), lights=(PointLight((beside, 0.0, height), (2.0, 2.0, 2.0)),)
+    )
+    maps, count = 40, 5000
+    landed = traced(scene, maps, count, first_hits=True, weighted=True)
+    flux = np.array([photons.power.sum(axis=0)[0] for photons in landed])
+    # Of a rectangle with a corner below the light: atan(x y / (h sqrt(x² + y² + h²))).
+    x = np.array([beside - 1.0, beside + 1.0])
+    angle = 2 * np.diff(np.arctan(x / (height * np.sqrt(x * x + 1.0 + height**2))))[0]
+    expected = 2.0 * angle * Canonical.of(scene).scale ** 2
+    error = flux.std(ddof=1) / np.sqrt(maps)
+    assert abs(flux.mean() - expected) < 4.5 * error
+    # As many land as without the cone: a binomial law of p = Ω / 4π.
+    share = angle / (4 * np.pi)
+    deviation = expected * np.sqrt((1 - share) / share / count)
+    assert flux.std(ddof=1) == pytest.approx(deviation, rel=0.5)
+
+
 @pytest.mark.parametrize("weighted", [True, False])
 def test_flux_in_a_closed_box(weighted):
     """4 π I / (1 - rho) lands in all, and with first hits left out rho of it; unweighted, rho is P in every channel.

@@ -10,7 +10,6 @@ import pytest
 
 from renderer.scratch import COUNTERS
 from renderer.terms import VARIANTS
-from renderer.tiles import powers_of_two
 from reports import cells
 from scenes.load import load
 from scenes.model import Photons, PointLight, Scene
@@ -32,12 +31,14 @@ class Recorder:
         self.asked: list[int] = []
         self.counts = dict.fromkeys(COUNTERS, 0)
 
-    def prefixes(self, variant: Any, *, samples: int, seed: int, replicate: int, chain: str) -> Iterator:
+    def prefixes(
+        self, variant: Any, *, samples: int, seed: int, replicate: int, chain: str, counts: tuple[int, ...]
+    ) -> Iterator:
         self.asked.append(replicate)
         self.compile_seconds += 1.0
         self.counts["rays"] += samples
         width, height = self.scene.resolution
-        for count in powers_of_two(samples):
+        for count in counts:
             if replicate == self.interrupt_at and count == samples:
                 raise KeyboardInterrupt
             yield (
@@ -70,6 +71,14 @@ def test_shapes_and_seconds(scene: Scene, tmp_path: Path):
     np.testing.assert_array_equal(cell.seconds, [[0.5, 1.0, 2.0]] * REPLICATES)
     assert cell.counts == dict.fromkeys(COUNTERS, 0) | {"rays": SAMPLES * REPLICATES}
     assert cell.compile_seconds == REPLICATES
+
+
+def test_without_a_sweep_the_last_image_alone(scene: Scene, tmp_path: Path):
+    swept = take(Recorder(scene), tmp_path / "swept")
+    last = take(Recorder(scene), tmp_path / "last", swept=False)
+    assert (swept.samples, last.samples) == ((1, 2, SAMPLES), (SAMPLES,))
+    np.testing.assert_array_equal(last.images, swept.images[:, -1:])
+    assert take(Recorder(scene), tmp_path / "swept", swept=False).images.shape == last.images.shape
 
 
 def test_a_second_run_computes_nothing(scene: Scene, tmp_path: Path):
