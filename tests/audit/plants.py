@@ -43,10 +43,10 @@ TURNED = Case("turned two_cubes", "direct", "next-event", samples=32)
 PATH = Case("cornell_box_unshadowed", "direct", "path", samples=256)
 PHOTON_MAP = Case("cornell_box_unshadowed", "direct", "photon-map", samples=16)
 SPLIT = Case("cornell_box_unshadowed", "direct", "next-event", samples=16)
-GLOSSY = Case("glossy cornell_box", "specular", "vndf", samples=128)
-GLOSSY_UNIFORM = Case("glossy cornell_box", "specular", "uniform", samples=256)
+GLOSSY = Case("glossy cornell_box", "specular", "vndf", samples=256)
+GLOSSY_UNIFORM = Case("glossy cornell_box", "specular", "uniform", samples=1024)
 METAL = Case("metal cornell_box", "specular", "vndf", samples=128)
-OUTDOORS = Case("glossy two_cubes", "specular", "vndf", samples=128)
+OUTDOORS = Case("glossy two_cubes", "specular", "vndf", samples=512)
 BACKGROUND = Case("two_cubes", "background", "seen", samples=32)
 
 _AMBIENT = "renderer/terms/ambient.py"
@@ -56,7 +56,7 @@ _LIGHTS = "renderer/lights.py"
 _LOBE = "renderer/microfacet.py"
 _TRACING = "renderer/photon_tracing.py"
 _TILES = "renderer/tiles.py"
-_OUT = "yield count, out / counts, seconds"
+_OUT = "yield count, out / taken, seconds"
 
 PLANTS = (
     Plant(
@@ -285,29 +285,29 @@ PLANTS = (
         "translation = [-0.905, 0.716, 1.683]",
         "translation = [-0.405, 0.216, 1.683]",
     ),
-    Plant("1 % gain", DIRECT, _TILES, _OUT, "yield count, 1.01 * out / counts, seconds"),
+    Plant("1 % gain", DIRECT, _TILES, _OUT, "yield count, 1.01 * out / taken, seconds"),
     Plant(
         "left and right 2 %",
         DIRECT,
         _TILES,
         _OUT,
-        "yield count, out / counts * np.where(np.arange(width) < width // 2, 1.02, 0.98)[:, None], seconds",
+        "yield count, out / taken * np.where(np.arange(width) < width // 2, 1.02, 0.98)[:, None], seconds",
     ),
     Plant(
         "a tile off by 10 %",
         DIRECT,
         _TILES,
         _OUT,
-        "yield count, out / counts * np.where(np.indices(out.shape)[:2].max(axis=0) < 16, 1.1, 1.0), seconds",
+        "yield count, out / taken * np.where(np.indices(out.shape)[:2].max(axis=0) < 16, 1.1, 1.0), seconds",
     ),
     Plant(
         "2-px blur",
         DIRECT,
         _TILES,
         _OUT,
-        'yield count, __import__("scipy.ndimage").ndimage.gaussian_filter(out / counts, (2, 2, 0)), seconds',
+        'yield count, __import__("scipy.ndimage").ndimage.gaussian_filter(out / taken, (2, 2, 0)), seconds',
     ),
-    Plant("red and blue swapped", DIRECT, _TILES, _OUT, "yield count, (out / counts)[..., ::-1], seconds"),
+    Plant("red and blue swapped", DIRECT, _TILES, _OUT, "yield count, (out / taken)[..., ::-1], seconds"),
     Plant(
         "a NaN pixel",
         DIRECT,

@@ -17,7 +17,7 @@ from scenes.load import load
 from scenes.model import Scene
 
 _LOBES = {
-    "glossy": {"gloss": 0.5, "roughness": 1.0, "f0": (0.04, 0.04, 0.04)},
+    "glossy": {"gloss": 0.5, "roughness": 0.6, "f0": (0.04, 0.04, 0.04)},
     "metal": {"gloss": 0.7, "roughness": 0.5, "f0": (0.9, 0.9, 0.9)},
 }
 
@@ -58,7 +58,7 @@ class Case:
             resolution=(self.side, self.side),
             objects=things,
             max_bounces=2,
-            photons=attrs.evolve(scene.photons, count=2000, radius=0.6),
+            photons=attrs.evolve(scene.photons, count=8000, radius=0.6),
         )
 
 
