@@ -4,9 +4,9 @@ For `direct` x is what the camera sees; for `specular` it is a vertex of a chain
 ambient light are added.
 
 What the kernel does to E is part of what is meant, so the reference is the same estimate made by other means: photons
-leave Mitsuba's emitters (`sample_ray`), fly by its `ray_intersect`, and are gathered by scipy's k-d tree (see
-`density`). They are independent of each other, and every map has its own. Roulette survives with
-`P = min(0.99, largest channel of the albedo)`; a survivor is scattered with cosine density.
+leave Mitsuba's emitters (`sample_ray`; a point light, into a cone about all faces), fly by its `ray_intersect`, and
+are gathered by scipy's k-d tree (see `density`). They are independent of each other, and every map has its own.
+Roulette survives with `P = min(0.99, largest channel of the albedo)`; a survivor is scattered with cosine density.
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false
@@ -32,27 +32,6 @@ CHAINS = 16  # a pixel and map: they share the map
 POINTS = 2**14  # gathered together: bounds memory
 
 
-class Surfaces(NamedTuple):
-    """The triangles of a Mitsuba scene in one list, at the canonical scale.
-
-    Attributes
-    ----------
-    scene : mi.Scene
-    first : (O,) number of each shape's first face.
-    faces : the triangles.
-    albedo : (F + 1, 3), `color (1 - g)` of each face; the last, black, is that of a miss.
-    survival : (F + 1,), `P = min(MAX_SURVIVAL, largest channel of the albedo)`.
-    emitters : all of them.
-    """
-
-    scene: Any
-    first: np.ndarray
-    faces: Faces
-    albedo: np.ndarray
-    survival: np.ndarray
-    emitters: tuple["Emitter", ...]
-
-
 class Emitter(NamedTuple):
     """One of Mitsuba's emitters, whose rays all weigh the same.
 
@@ -75,6 +54,27 @@ class Emitter(NamedTuple):
     def aimed(self) -> float:
         """Share of its photons that are traced."""
         return 1.0 if self.cone is None else 0.5 * (1.0 - self.cone[1])
+
+
+class Surfaces(NamedTuple):
+    """The triangles of a Mitsuba scene in one list, at the canonical scale.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+    first : (O,) number of each shape's first face.
+    faces : the triangles.
+    albedo : (F + 1, 3), `color (1 - g)` of each face; the last, black, is that of a miss.
+    survival : (F + 1,), `P = min(MAX_SURVIVAL, largest channel of the albedo)`.
+    emitters : all of them.
+    """
+
+    scene: Any
+    first: np.ndarray
+    faces: Faces
+    albedo: np.ndarray
+    survival: np.ndarray
+    emitters: tuple[Emitter, ...]
 
 
 class Sights(NamedTuple):

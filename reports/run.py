@@ -653,7 +653,7 @@ def _cell_rows(subject: Subject, measured: list[Cell], rendered: References, com
         for against, limit, kept, predicted in others:
             fields = _identity(subject, term, variant.name, kind, against)
             if against == "physical" and not at_own.absent:
-                fields["split"] = _split(cell.images[:, -1], own.images, kept.images)
+                fields["split"] = _split(cell, own.images, kept.images)
             rows.append(
                 _row(
                     fields,
@@ -916,15 +916,17 @@ def _ssim(truth: np.ndarray, shown: np.ndarray, exposure: float) -> float | None
     return float(np.mean([metrics.ssim(truth, image, exposure=exposure) for image in shown]))
 
 
-def _split(ours: np.ndarray, own: np.ndarray, physical: np.ndarray) -> dict[str, list[float]]:
-    """Parts of one replicate's mean square error against full light transport: value and 90 % interval, radiance²."""
-    parts = verdict.split_error(ours, own, physical)
-    return {
-        name: [part.value, part.low(0.05), part.high(0.05)]
-        for name, part in (
-            (field.name, getattr(parts, field.name)) for field in attrs.fields(verdict.ErrorSplit)
-        )
-    }
+def _split(cell: Cell, own: np.ndarray, physical: np.ndarray) -> dict[str, list[float]]:
+    """Parts of one replicate's mean square error against full light transport: value and 90 % interval, radiance².
+
+    With what rounding to float32 has of the bias, where replicates were rendered by kernels.
+    """
+    ours = cell.images[:, -1]
+    parts = attrs.asdict(verdict.split_error(ours, own, physical), recurse=False)
+    rendered = [image for k in range(len(ours)) if (image := cell.rendered(k)) is not None]
+    if rendered:
+        parts["float_error"] = verdict.float_error(ours, np.stack(rendered))
+    return {name: [part.value, part.low(0.05), part.high(0.05)] for name, part in parts.items()}
 
 
 def _curve(curve: Convergence | None) -> dict[str, Any]:

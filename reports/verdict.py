@@ -780,6 +780,18 @@ def split_error(ours: np.ndarray, own: np.ndarray, physical: np.ndarray) -> Erro
     )
 
 
+def float_error(kept: np.ndarray, rendered: np.ndarray) -> Estimate:
+    """The share of `mean(B²)` that rounding alone makes: `mean(E[kept - rendered]²)`, unbiased.
+
+    Parameters
+    ----------
+    kept, rendered : (K, H, W, 3) float32 and float64
+        The same replicates, of the same random numbers, as they are judged and as they were added up.
+    """
+    difference = np.subtract(kept, rendered, dtype=np.float64).reshape(len(kept), -1)
+    return Gram(difference @ difference.T / difference.shape[1], (len(kept),)).estimate(np.ones((1, 1)))
+
+
 # The rule, part by part.
 
 

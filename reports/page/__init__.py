@@ -230,6 +230,8 @@ class _Scene:
             row = self.row(term, name, "physical")
             if row and row.get("split"):
                 parts = [(label, *row["split"][part]) for part, label in charts.PARTS]
+                if "float_error" in row["split"]:
+                    parts.append(("of bias²: rounding to float32", *row["split"]["float_error"]))
                 return {"variant": name, "parts": parts, "figure": charts.waterfall(row["split"])}
         return None
 

@@ -19,8 +19,8 @@ import pytest
 import xarray
 from PIL import Image
 
-from reports import cells, images, metrics, run, study, subjects
-from reports.page import pictures
+from reports import cells, images, metrics, run, study, subjects, verdict
+from reports.page import p_maps, pictures
 from scenes.load import load
 from scenes.model import Scene
 from scenes.store import PROJECT, cache_folder
@@ -44,11 +44,15 @@ MAY_BE_UNDERPOWERED = {("specular", "paper")}
 
 
 class Measured(NamedTuple):
-    """What a run wrote: its rows against `own`, those against `correct`, and mean images by scene and term."""
+    """What a run wrote: its rows against `own`, those against `correct`, and what `results.nc` has by scene and term.
+
+    `images` are the means of ours and of the reference, `cells` everything of the term's default.
+    """
 
     own: dict[tuple[str, str, str], dict[str, Any]]
     correct: dict[tuple[str, str, str], dict[str, Any]]
     images: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]
+    cells: dict[tuple[str, str], xarray.Dataset]
 
 
 def _measure(chosen: study.Study, scenes: tuple[Scene, ...], folder: Path) -> Measured:
@@ -61,15 +65,16 @@ def _measure(chosen: study.Study, scenes: tuple[Scene, ...], folder: Path) -> Me
         rows.setdefault(
             (row["against"], row["scene"], row["term"], row["variant"]), row
         )  # the first has all samples
-    pairs = {}
+    pairs, found = {}, {}
     for scene in scenes:
         with xarray.open_dataset(folder / "results.nc", group=scene.name, engine="h5netcdf") as group:
             for index, term in enumerate(group.cell_term.values.tolist()):
                 if (scene.name, term) not in pairs:  # the first of a term's variants is its default
                     pair = group.image[index], group.reference[int(group.own[index])]
                     pairs[scene.name, term] = tuple(np.asarray(each, np.float64) for each in pair)
+                    found[scene.name, term] = group.isel(cell=index).load()
     against = {which: {key[1:]: rows[key] for key in rows if key[0] == which} for which in ("own", "correct")}
-    return Measured(against["own"], against["correct"], pairs)
+    return Measured(against["own"], against["correct"], pairs, found)
 
 
 @pytest.fixture(scope="session")
@@ -80,7 +85,10 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
 
 @contextlib.contextmanager
 def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureRequest) -> Iterator[None]:
-    """Where an assertion fails: leave ours, the reference and the signed error, and say how to run this test again."""
+    """Where an assertion fails: leave ours, the reference, signed error and p-maps, and say how to run this test again.
+
+    The channels of a p-map are p, and p adjusted by Holm and by Benjamini and Hochberg.
+    """
     try:
         yield
     except AssertionError as error:
@@ -90,6 +98,17 @@ def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureR
             images.write_exr(folder / f"{name}.exr", {name: image}, {"software": "termwise", "scene": scene})
         pictures.write_png(folder / "ours.png", ours, exposure=exposure)
         pictures.write_png(folder / "reference.png", reference, exposure=exposure)
+        cell, (height, width, _) = measured.cells[scene, term], ours.shape
+
+        def leave(name: str, pixels: np.ndarray) -> str:
+            Image.fromarray(pixels).save(folder / f"{name}.png")
+            return name
+
+        for side in p_maps(cell, term, leave):
+            each = [cell[f"tile_{name}_{side}"].values for name in ("p", "holm", "benjamini_hochberg")]
+            pixels = np.stack(each, axis=-1).repeat(side, axis=0).repeat(side, axis=1)[:height, :width]
+            header = {"software": "termwise", "scene": scene}
+            images.write_exr(folder / f"{term} p-map {side}.exr", {"p-map": pixels}, header)
         signed, _ = pictures.relative_error(ours, reference)
         Image.fromarray(pictures.diverge(signed, scale=pictures.error_scale([signed]))).save(
             folder / "error.png"
@@ -226,7 +245,11 @@ def test_a_failure_leaves_its_images(
     ):
         raise AssertionError("a bound is exceeded")
     left = {path.name for path in (tmp_path / "monkey-ambient").iterdir()}
-    assert left == {f"{name}.{kind}" for name in ("ours", "reference", "error") for kind in ("exr", "png")}
+    names = "ours", "reference", "error", *(f"ambient p-map {side}" for side in verdict.TILE_SIDES)
+    assert left == {f"{name}.{kind}" for name in names for kind in ("exr", "png")}
+    cell = measured.cells["monkey", "ambient"]
+    (p,) = images.read_exr(tmp_path / "monkey-ambient" / "ambient p-map 16.exr").values()
+    np.testing.assert_allclose(p[::16, ::16, 0], cell["tile_p_16"].values, rtol=1e-6)
     (error,) = images.read_exr(tmp_path / "monkey-ambient" / "error.exr").values()
     ours, reference = measured.images["monkey", "ambient"]
     np.testing.assert_allclose(error, ours - reference, atol=1e-6)

@@ -7,7 +7,7 @@ bootstrap of this statistic missed it in 240 of 240 trials.
 import numpy as np
 import pytest
 
-from reports.verdict import Gram, gram, split_error
+from reports.verdict import Gram, float_error, gram, split_error
 
 
 def matrix(*groups: np.ndarray) -> Gram:
@@ -116,3 +116,25 @@ def test_split_is_unbiased_and_adds_up():
     truth = [(gap**2).mean(), 2 * (gap * bias).mean(), (bias**2).mean(), 0.25]
     error = np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
     assert np.all(np.abs(np.mean(found, axis=0) - truth) < 4 * error)
+
+
+def test_the_float_error_is_what_all_replicates_share():
+    """A rounding that is the same in each replicate is found whole; one that is as often up as down is none."""
+    rng = np.random.default_rng(7)
+    rendered = rng.gamma(2.0, size=(6, 8, 8, 3))
+    shared = rng.normal(0, 1e-3, (8, 8, 3))
+    assert float_error(rendered + shared, rendered).value == pytest.approx((shared**2).mean(), rel=1e-9)
+    up_and_down = [float_error(rendered + rng.normal(0, 1e-3, rendered.shape), rendered) for _ in range(100)]
+    values = np.array([each.value for each in up_and_down])
+    assert abs(values.mean()) < 4 * values.std(ddof=1) / 10
+    assert np.mean([each.low(0.05) <= 0 <= each.high(0.05) for each in up_and_down]) > 0.75
+    rounded = float_error(rendered.astype(np.float32), rendered)
+    assert abs(rounded.value) < (2.0**-24 * rendered.max()) ** 2
+
+
+def test_adding_up_in_float32_is_a_float_error():
+    """A running sum of float32 loses what is small beside it: of 2^24 ones and more nothing is added."""
+    rendered = np.ones((4, 4, 4, 3))
+    total = np.float32(2**24)
+    lost = np.full(rendered.shape, (total + np.float32(1.0)) / np.float32(2**24 + 2**20), np.float32)
+    assert float_error(lost, rendered).value == pytest.approx((1 - 2**24 / (2**24 + 2**20)) ** 2, rel=1e-3)
