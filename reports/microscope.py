@@ -142,13 +142,19 @@ def branch(
     )
     names = dict(enumerate(dataset["object_name"].values.astype(str))) | {-1: NO_OBJECT}
     mean = float(reference.mean(axis=0) @ weights / weights.sum()) or 1.0
+    brightest = max(float(dataset["image"][cell].max()), float(dataset["reference"][limit].max()))
 
     def places(groups: dict[str, np.ndarray], least: float) -> list[Place]:
         """Sums of pieces, by name."""
         member = np.stack([mask * weights for mask in groups.values()], axis=1)
         counts = member.sum(axis=0)
         compared = verdict.welch(
-            ours @ member / counts, reference @ member / counts, least=least, term_mean=mean
+            ours @ member / counts,
+            reference @ member / counts,
+            least=least,
+            term_mean=mean,
+            areas=counts,
+            brightest=brightest,
         )
         low, high = compared.interval(0.1)
         rows = zip(groups, counts, compared.bias, low, high, compared.standard_error, strict=True)

@@ -455,7 +455,7 @@ def measure(
         0.0,
     )
     sums, areas = np.zeros((1 + len(present), everyone, 3)), np.zeros(1 + len(present))
-    tile_rows, invalid, non_finite, negative = [], [], 0, 0
+    tile_rows, invalid, non_finite, negative, brightest = [], [], 0, 0, 0.0
 
     for top, band in _bands(ours, reference):
         equality.read(band)
@@ -470,6 +470,7 @@ def measure(
             non_finite += int(np.count_nonzero(broken))
             negative += int(np.count_nonzero(wrong & ~broken))
             band = np.where(broken, band[count:].mean(axis=0), band)
+        brightest = max(brightest, float(band.max()))
 
         centred = (band - band.mean(axis=0)).reshape(everyone, -1)
         pixel_products += centred @ centred.T
@@ -508,8 +509,15 @@ def measure(
         term_mean = scale if scale is not None else float(_luminance(means[0, :count].mean(axis=0)))
         term_mean = term_mean if term_mean > 0 else 1.0
 
-    def compare(values: np.ndarray, least: float) -> Comparison:
-        return welch(values[:count], values[count:], least=least, term_mean=term_mean)
+    def compare(values: np.ndarray, least: float, area: np.ndarray | float) -> Comparison:
+        return welch(
+            values[:count],
+            values[count:],
+            least=least,
+            term_mean=term_mean,
+            areas=area,
+            brightest=brightest,
+        )
 
     by_replicate = np.moveaxis(means, 1, 0)
     tile_sums = np.concatenate(tile_rows, axis=2)
@@ -517,10 +525,11 @@ def measure(
     tiles, channel_tiles, tile_skewness = {}, {}, {}
     for side in TILE_SIDES:
         step = side // TILE_SIDES[0]
-        at_side = _block_sums(tile_sums, step)[0] / _block_sums(tile_area[None], step)[0]
+        area = _block_sums(tile_area[None], step)[0][0]
+        at_side = _block_sums(tile_sums, step)[0] / area
         at_side_luminance = _luminance(np.moveaxis(at_side, 1, -1))
-        tiles[side] = compare(at_side_luminance, term_mean)
-        channel_tiles[side] = compare(at_side, term_mean)
+        tiles[side] = compare(at_side_luminance, term_mean, area)
+        channel_tiles[side] = compare(at_side, term_mean, area)
         tile_skewness[side] = max(
             _median_skewness(at_side_luminance[a:b]) for a, b in ((0, count), (count, None))
         )
@@ -550,8 +559,8 @@ def measure(
             IMAGE,
             *(str(object_names[i]) if i < len(object_names) else f"object {i}" for i in present),
         ),
-        regions=compare(by_replicate, term_mean if reference_is_zero else 0.1 * term_mean),
-        luminance=compare(_luminance(by_replicate[:, 0]), term_mean),
+        regions=compare(by_replicate, term_mean if reference_is_zero else 0.1 * term_mean, areas[:, None]),
+        luminance=compare(_luminance(by_replicate[:, 0]), term_mean, areas[0]),
         tiles=tiles,
         channel_tiles=channel_tiles,
         tile_skewness=tile_skewness,
@@ -1100,8 +1109,19 @@ def _block_sums(values: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     return sums, np.multiply.outer(heights, widths).astype(np.float64)
 
 
-def welch(ours: np.ndarray, reference: np.ndarray, *, least: float, term_mean: float) -> Comparison:
-    """Compare replicate means (K, ...) and (R, ...), relative to the reference or `least` if larger."""
+def welch(
+    ours: np.ndarray,
+    reference: np.ndarray,
+    *,
+    least: float,
+    term_mean: float,
+    areas: np.ndarray | float,
+    brightest: float,
+) -> Comparison:
+    """Compare replicate means (K, ...) and (R, ...), relative to the reference or `least` if larger.
+
+    `areas` are the pixels of each place, `brightest` is the largest pixel of any replicate.
+    """
 
     def mean_and_variance(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shifted = values - values[0]  # equal replicates: exactly 0
@@ -1110,8 +1130,10 @@ def welch(ours: np.ndarray, reference: np.ndarray, *, least: float, term_mean: f
         return values[0] + shifted.mean(axis=0), np.asarray(variance)
 
     (mean, variance), (other, other_variance) = mean_and_variance(ours), mean_and_variance(reference)
-    variance = _borrowed(mean, variance, other)
-    other_variance = _borrowed(other, other_variance, mean)
+    event = brightest / areas
+    variance = _borrowed(mean, variance, other, event / len(ours))
+    if len(reference) > 1:
+        other_variance = _borrowed(other, other_variance, mean, event / len(reference))
     both = variance + other_variance
     noiseless = both == 0
     share = np.divide(variance, both, out=np.zeros_like(both), where=~noiseless)
@@ -1123,18 +1145,22 @@ def welch(ours: np.ndarray, reference: np.ndarray, *, least: float, term_mean: f
     return Comparison(mean, other, np.asarray((mean - other) / scale), error, scale, dof, noiseless)
 
 
-def _borrowed(mean: np.ndarray, variance: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _borrowed(
+    mean: np.ndarray, variance: np.ndarray, other: np.ndarray, event: np.ndarray | float
+) -> np.ndarray:
     """Variances of the means; a place where one side alone is 0 in all replicates has that of a place like the others.
 
-    A sparse estimator may have no sample there, and its variance of 0 then proves nothing. Such a place borrows the
-    largest variance relative to the square of the mean found anywhere on that side, for the mean of the other side: a
-    term that is lost there stays proven where the side is otherwise sure of itself.
+    A sparse estimator may have no sample there, and its variance of 0 then proves nothing. Such a place has, for the
+    mean of the other side, the larger of two: the largest variance relative to the square of the mean found anywhere on
+    that side; and that of a Poisson law, mean times `event`, what one sample as bright as the brightest pixel adds to
+    the mean of all replicates. A term that is lost there stays proven where the side is otherwise sure of itself.
     """
     lost = (mean == 0) & (other > 0)
-    varying = (mean > 0) & (variance > 0)
-    if not (lost.any() and varying.any()):
+    if not lost.any():
         return variance
-    return np.where(lost, np.max(variance[varying] / mean[varying] ** 2) * other**2, variance)
+    varying = (mean > 0) & (variance > 0)
+    relative = np.max(variance[varying] / mean[varying] ** 2) if varying.any() else 0.0
+    return np.where(lost, np.maximum(relative * other**2, event * other), variance)
 
 
 def _median_skewness(values: np.ndarray) -> float:

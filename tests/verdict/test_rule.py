@@ -206,6 +206,39 @@ def test_places_that_a_sparse_estimator_never_reached_prove_nothing(rng):
     assert false_alarms <= 6
 
 
+def test_an_object_with_hardly_an_event_proves_nothing(rng):
+    """Its light lies in 2 pixels that one sample in 60 finds: all 16 replicates of one sample miss it half the time."""
+    objects = np.zeros((32, 32), int)
+    objects[:16, :28] = 1
+    chance = np.where(objects == 0, 0.9, 0.0)
+    chance[3, 4:6] = 1 / 60
+
+    def draw(samples: int) -> np.ndarray:
+        return rng.binomial(samples, chance, (16, 32, 32))[..., None] * np.full(3, 0.4 / samples)
+
+    missed, alarms = 0, 0
+    for _ in range(100):
+        ours = draw(1)
+        missed += not ours[:, objects == 1].any()
+        alarms += decide(measure(ours, draw(64), objects=objects), tests=600).verdict == "BIASED"
+    assert missed > 40
+    assert alarms <= 2
+    # Where the object is bright as others are, to have lost it is proven.
+    chance[objects == 1] = 0.5
+    ours = draw(1)
+    ours[:, objects == 1] = 0.0
+    assert decide(measure(ours, draw(64), objects=objects), tests=600).verdict == "BIASED"
+
+
+def test_a_term_that_is_lost_everywhere_is_proven(replicates, picture, rng):
+    """Black replicates against light; exact ones too."""
+    mean = picture(32, 32)
+    black = np.zeros((16, 32, 32, 3))
+    assert judge(black, replicates(rng, mean), noiseless=True).verdict == "BIASED"
+    assert judge(black, mean[None], exact=True, noiseless=True).verdict == "BIASED"
+    assert judge(replicates(rng, mean), np.zeros((1, 32, 32, 3)), exact=True).verdict == "BIASED"
+
+
 def test_a_term_that_is_lost_in_one_place_is_proven(rng, replicates, picture):
     """16 x 16 px are 0 in all replicates of ours, which is sure of itself everywhere else."""
     mean = picture(64, 64)
