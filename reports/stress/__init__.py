@@ -10,11 +10,16 @@ from types import ModuleType
 from typing import Any
 
 from reports.bench.common import known, machine, positive
-from reports.stress import intersection
+from reports.stress import intersection, photons, radiance, shading
 from reports.stress.row import SIDES, Row
 from reports.stress.row import measure as measure_row
 
-GROUPS: dict[str, ModuleType] = {"intersection": intersection}
+GROUPS: dict[str, ModuleType] = {
+    "intersection": intersection,
+    "shading": shading,
+    "radiance": radiance,
+    "photons": photons,
+}
 COUNT = 4096
 
 
