@@ -1,4 +1,4 @@
-"""The command `termwise`: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, bench, stress.
+"""The command termwise: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, bench, stress.
 
 Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`; of `diff`, something became
 worse; of `stress`, a row failed); 2: bad input, or a run, or one of its scenes, that could not end. With --json one

@@ -80,13 +80,10 @@ def few(count: int) -> Iterator[Row]:
     precision = 1e-12
     yield _row("no photon", "irradiance", 0.0, lambda e: abs(e(scene, empty(), _at(0.5, 0.4))))
     for radius in (0.3, 1e-3, 1e-6, 1e-12):
-        share = 0.5
 
         def one(estimate: Estimate, radius: float = radius) -> float:
-            found = estimate(
-                scene, _map(np.array([[0.5 + share * radius, 0.25]]), 2.0, radius), _at(0.5, 0.25)
-            )
-            distance = (0.5 + share * radius) - 0.5  # as it is stored
+            found = estimate(scene, _map(np.array([[0.5 + 0.5 * radius, 0.4]]), 2.0, radius), _at(0.5, 0.4))
+            distance = (0.5 + 0.5 * radius) - 0.5  # as it is stored
             return _off(found, 6.0 / (math.pi * radius**2) * (1.0 - (distance / radius) ** 2) ** 2)
 
         # The position of the photon is rounded to 2^-53 of its coordinate, which is known; the difference is exact.
@@ -127,8 +124,8 @@ def radii(count: int) -> Iterator[Row]:
 def borders(count: int) -> Iterator[Row]:
     """A constant irradiance is estimated up to edges and corners: the kernel is divided by its mass on the surface.
 
-    Photons on a grid of spacing h = 1 / n: a midpoint rule, whose error at a cut kernel is below 2 (h / r)² and, for the
-    cut through it, h / r times the slope of the kernel there, 0: twice the former is allowed.
+    Photons on a grid of spacing h = 1 / n: a midpoint rule, whose error at a cut kernel is below 2 (h / r)² and, for
+    the cut through it, h / r times the slope of the kernel there, 0: twice the former is allowed.
     """
     scene = _scene(_plate())
     n = 200
@@ -181,11 +178,12 @@ def walls(count: int) -> Iterator[Row]:
         lower = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
         slab = np.concatenate([lower + (0.0, 0.0, gap), lower])
         mesh = Mesh.from_arrays(slab, [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]])
+        thin = _scene(Object("slab", mesh))
         yield _row(
             f"a wall {gap:g} thin",
             "irradiance of its dark side, of 1",
             0.0,
-            lambda e, gap=gap, thin=_scene(Object("slab", mesh)): e(
+            lambda e, gap=gap, thin=thin: e(
                 thin, _map(photons, 1.0 / 1600, 0.1, gap), _at(0.5, 0.4, face=2, normal=Vec3(0.0, 0.0, -1.0))
             ),
         )
@@ -200,7 +198,7 @@ def _emitted(scene: Scene, count: int, threads: int) -> PhotonMap:
             count=count,
             radius=0.2,
             shape="simpson",
-            rule=Scattering(0.0, True, False, independent=False),
+            rule=Scattering(0.0, True, False, independent=False, aimed=False),
             first_hits=True,
             pool=pool,
             scratch=new_scratch,
@@ -219,6 +217,21 @@ def tracing(count: int) -> Iterator[Row]:
             )
 
         yield Row(f"{threads} threads", "of 5 arrays, those with other bytes", 0.0, differ)
+
+    for albedo in (0.0, 0.5, 0.9):
+        # Landings of a photon are geometric: their number has the mean 1 / (1 - albedo), over which its deviation is
+        # the root of the albedo; 5 of them are allowed to the mean of all photons.
+        def flux(albedo: float = albedo) -> float:
+            power = _emitted(closed_box(albedo=albedo), count, 1).power[:, 0].sum()
+            return _off(float(power), 4.0 * math.pi / (1.0 - albedo))
+
+        limit = 5.0 * math.sqrt(albedo / count) + 1e-12
+        yield Row(f"flux in a closed box of albedo {albedo:g}", "relative error", limit, flux)
+
+    def runaway() -> float:
+        return float((~np.isfinite(_emitted(closed_box(albedo=1.0), count, 1).power)).sum())
+
+    yield Row("photons in a closed box of albedo 1", "powers that are no numbers", 0.0, runaway)
 
     for name, position in {
         "inside": (0.3, -0.2, 0.4),
