@@ -126,6 +126,7 @@ def _lamp(radiance: float, sky: float) -> Scene:
         Camera((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), fov=60.0),
         (Object("lamp", lamp.mesh, emission=(radiance, radiance, radiance)),),
         sky=Sky((sky, sky, sky)),
+        draw_lights=True,
         resolution=(16, 16),
     )
 

@@ -5,16 +5,21 @@ planted in what is judged, by a patch of the name that the group calls.
 """
 
 import json
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from renderer import microfacet
 from renderer.vector import Vec3
 from reports import cli, stress
 from reports.page import stress as page
-from reports.stress import exact, intersection, photons, radiance, shading, tracers
+from reports.stress import exact, garbage, intersection, photons, radiance, shading, tracers
 from reports.stress.row import Row, measure
+from scenes.load import load
 
 SMALL = 128
 UP = Vec3(0.0, 0.0, 1.0)
@@ -153,6 +158,44 @@ def test_a_kernel_that_knows_no_borders_fails_rows_of_photons(name, monkeypatch)
 
 
 @pytest.mark.usefixtures("_fast")
+@settings(deadline=None, max_examples=60, derandomize=True)
+@given(data=st.data())
+def test_any_value_in_any_field_is_refused_or_rendered(data):
+    """Hypothesis in place of the rows' list of values: floats of all bits, integers, text, lists."""
+    table, key = data.draw(st.sampled_from([(t, k) for t, keys in garbage.FIELDS.items() for k in keys]))
+    number = st.floats().map(lambda x: "nan" if x != x else repr(x))
+    value = data.draw(
+        st.one_of(number, st.integers(-(2**70), 4096).map(str), st.sampled_from(garbage.VALUES))
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.toml"
+        path.write_text(garbage.text(f"{table}.{key}", value), "utf-8")
+        assert not garbage.faulty(lambda: garbage._small(load(path)))
+
+
+@pytest.mark.usefixtures("_fast")
+@settings(deadline=None, max_examples=60, derandomize=True)
+@given(st.binary(max_size=300))
+def test_any_bytes_are_refused_or_rendered(bytes_):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.toml"
+        path.write_bytes(bytes_)
+        assert not garbage.faulty(lambda: load(path))
+
+
+@pytest.mark.usefixtures("_fast")
+@pytest.mark.parametrize(
+    "error", [KeyError("a crash"), ValueError("two\nlines"), ValueError("something is wrong")]
+)
+def test_a_planted_fault_fails_a_row_of_garbage(error, monkeypatch):
+    def planted(path):
+        raise error
+
+    monkeypatch.setattr(garbage, "load", planted)
+    assert fails("garbage", "camera.fov")
+
+
+@pytest.mark.usefixtures("_fast")
 def test_the_paper_fails_where_its_epsilons_predict():
     """Absolute epsilons of 1e-5: all is lost at scale 1e-6 and across a gap of 1e-7, nothing at scale 1e6."""
     names = ("scale 1e-6", "scale 1e6", "a wall at a gap of 1e-7", "a wall at a gap of 1e-3")
@@ -202,7 +245,9 @@ def test_a_crash_fails_the_row_and_is_told():
 
 
 def test_unknown_groups_and_rows_are_refused():
-    with pytest.raises(ValueError, match="group = 'x': allowed are intersection, shading, radiance, photons"):
+    with pytest.raises(
+        ValueError, match="group = 'x': allowed are intersection, shading, radiance, photons, garbage"
+    ):
         stress.measure(groups=("x",))
     with pytest.raises(ValueError, match="case = 'no such row'"):
         stress.measure(case="no such row")
