@@ -100,10 +100,10 @@ def least(count: int) -> Iterator[Row]:
         if name != "direct, photons":  # a photon's share of such a light is 0
 
             def lost(term: Term = term, scene: Scene = scene) -> float:
-                one, other = _ours(scene, term), _ours(_brighter(scene, 2.0**-1070), term)
-                return float(np.abs(np.ldexp(other, 1074) - 16.0 * _lit(one)).max())
+                one, other = _ours(scene, term), _ours(_brighter(scene, 2.0**-1050), term)
+                return float(np.abs(np.ldexp(other, 1074) - 2.0**24 * _lit(one)).max())
 
-            yield Row(f"{name}, times 2^-1070", "error in units of 2^-1074", 16.0, lost)
+            yield Row(f"{name}, times 2^-1050", "error in units of 2^-1074", 16.0, lost)
 
         def light(image: Image, term: Term = term, scene: Scene = scene) -> float:
             _lit(image(scene, term))

@@ -121,7 +121,8 @@ def reciprocity(count: int) -> Iterator[Row]:
 
     D at the half vector h has the exponent x = tan²(h) / alpha², a relative error of x roundings times those of h,
     which both orders share. F is the fifth power of 1 - w.h, whose 12 roundings, of both half vectors and products, are
-    of 1: relative to it they are `60 2^-53 / (1 - w.h)` where F0 < 1.
+    of 1: relative to it they are `60 2^-53 / (1 - w.h)` where F0 < 1. The directions' lengths differ by roundings too,
+    and w_i.h from w_o.h by `(|w_i|² - |w_o|²) / |w_i + w_o|`, which is that over 2 w.h: hence the product of both.
     """
     rng = np.random.default_rng(22)
     for alpha in (0.05, 0.3, 1.5):
@@ -145,13 +146,14 @@ def reciprocity(count: int) -> Iterator[Row]:
                     if not (math.isfinite(one) and math.isfinite(other)):
                         return math.inf
                     square = 0.25 * sum((a - b) ** 2 for a, b in zip(wi, wo, strict=True))
-                    less = square / (1.0 + math.sqrt(1.0 - min(square, 1.0)))  # 1 - w.h, h their half
-                    allowed = 1e-12 if f0 == 1.0 or less == 0.0 else max(1e-12, 60 * 2.0**-53 / less)
+                    cosine = 0.5 * math.sqrt(sum((a + b) ** 2 for a, b in zip(wi, wo, strict=True)))
+                    spread = cosine * square / (1.0 + cosine)  # w.h (1 - w.h)
+                    allowed = 1e-12 if f0 == 1.0 or spread == 0.0 else max(1e-12, 60 * 2.0**-53 / spread)
                     if max(one, other) > 1e-300:
                         worst = max(worst, abs(one - other) / max(one, other) / allowed)
                 return worst
 
-            figure = "relative difference over max(1e-12, 60 roundings / (1 - w.h))"
+            figure = "relative difference over max(1e-12, 60 roundings / (w.h (1 - w.h)))"
             yield Row(f"reciprocity, alpha {alpha:g}, F0 {f0:g}", figure, 1.0, error)
 
 

@@ -106,7 +106,7 @@ def fails(group: str, name: str) -> bool:
             lambda *given: (Vec3(0.0, 0.0, np.nan), Vec3(1, 1, 1)),
         ),
         ("weights, alpha 0.3, cosine 1", "sample_lobe", lambda *given: (UP, Vec3(1.0 + 2.0**-52, 1, 1))),
-        ("furnace, alpha 0.3, cosine 1", "sample_lobe", lambda *given: (UP, Vec3(1.0, 1.0, 1.0))),
+        ("furnace, alpha 0.3, cosine 1", "sample_lobe", lambda *given: (UP, Vec3(0.8, 0.8, 0.8))),
         ("reciprocity, alpha 0.3, F0 1", "eval_lobe", lambda wi, wo, alpha, f0: Vec3(wo.z, wo.z, wo.z)),
         ("opposite directions", "eval_lobe", lambda wi, wo, alpha, f0: Vec3(1.0, 1.0, 1.0)),
         ("frame at -z, 1e-08 beside", "frame", lambda n: np.eye(3) * (1.0 + 1e-14)),
@@ -125,9 +125,12 @@ def test_a_planted_fault_fails_a_row_of_shading(name, fault, planted, monkeypatc
         ("ambient, times 2^-100", lambda image: np.where(image < 1e-20, 0.0, image)),
         ("direct, times 2^100", lambda image: np.minimum(image, 1e20)),
         ("specular, times 2^1", lambda image: image + 1e-10),
-        ("specular, times 2^-1070", lambda image: np.where(image < 2.0**-1022, 0.0, image)),
+        ("specular, times 2^-1050", lambda image: np.where(image < 2.0**-1022, 0.0, image)),
         ("ambient, times -0", lambda image: np.where(image == 0.0, np.nan, image)),
-        ("a lamp of 1e+30 beside a sky of 1", lambda image: image + 1e-20 * image.max()),
+        (
+            "a lamp of 1e+30 beside a sky of 1",
+            lambda image: np.where(image < 1e-25 * image.max(), 0.0, image),
+        ),
     ],
 )
 def test_a_planted_fault_fails_a_row_of_radiance(name, fault, monkeypatch):
@@ -148,11 +151,9 @@ def test_sums_in_float32_drift(monkeypatch):
 
 
 @pytest.mark.usefixtures("_fast")
-@pytest.mark.parametrize(
-    "name", ["edge, radius 0.2", "corner, radius 0.2", "doubled walls 1e-06 apart", "a wall 1e-06 thin"]
-)
+@pytest.mark.parametrize("name", ["edge, radius 0.2", "corner, radius 0.2", "doubled walls 1e-06 apart"])
 def test_a_kernel_that_knows_no_borders_fails_rows_of_photons(name, monkeypatch):
-    """The paper's search divides by a whole disc and asks for neither object nor side."""
+    """The paper's search divides by a whole disc and does not ask for the object."""
     monkeypatch.setattr(photons, "_ours", photons._paper)
     assert fails("photons", name)
 
