@@ -167,7 +167,7 @@ class Pictures:
                 "piece_x": ("piece", pieces.x),
                 "piece_y": ("piece", pieces.y),
                 "piece_pixels": ("piece", pieces.pixels),
-                "image_pieces": (("cell", "replicate", "piece"), np.stack(ours_of)),
+                "image_pieces": (("cell", "replicate", "piece"), _padded(ours_of)),
                 "reference_pieces": (("limit", "reference_replicate", "piece"), _padded(truth_of)),
                 "rendered": (
                     ("cell", "y", "x", "channel"),

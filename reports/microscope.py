@@ -135,9 +135,11 @@ def branch(
     of_piece = dataset["piece_object"].values
     corners = list(zip(dataset["piece_x"].values.tolist(), dataset["piece_y"].values.tolist(), strict=True))
     weights = dataset["piece_pixels"].values
-    ours = dataset["image_pieces"].values[cell]
-    reference = dataset["reference_pieces"].values[limit]
-    reference = reference[~np.isnan(reference).all(axis=1)]
+    # Rows of NaN stand where others have more replicates.
+    ours, reference = (
+        each[~np.isnan(each).all(axis=1)]
+        for each in (dataset["image_pieces"].values[cell], dataset["reference_pieces"].values[limit])
+    )
     names = dict(enumerate(dataset["object_name"].values.astype(str))) | {-1: NO_OBJECT}
     mean = float(reference.mean(axis=0) @ weights / weights.sum()) or 1.0
 

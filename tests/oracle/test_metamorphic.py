@@ -172,7 +172,7 @@ def p_value(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 def replicates(scene: Scene, term: str, variant: str, *, seed: int) -> np.ndarray:
     """Sixteen of them, (16, H, W, 3)."""
-    return np.array([rendered(scene, term, variant, samples=8, seed=seed + k) for k in range(16)])
+    return np.array([rendered(scene, term, variant, samples=16, seed=seed + k) for k in range(16)])
 
 
 # Chance of a false alarm of one p-value; the seeds are fixed.

@@ -436,10 +436,11 @@ def test_budgets_are_read_in_seconds_minutes_and_hours(
 
     asked = []
 
-    def stop(study: Any, *_: Any) -> str:
+    def stop(study: Any, *_: Any, **__: Any) -> dict[str, Any]:
         asked.append(study.budget)
         raise ValueError("stopped")
 
-    monkeypatch.setattr(runs, "digest", stop)
+    monkeypatch.setattr(runs, "finished", lambda *_: None)
+    monkeypatch.setattr(runs, "measure", stop)
     refused(run("compare", "monkey", "--study", "quick", "--budget", text), "stopped")
     assert asked == [seconds]

@@ -116,7 +116,8 @@ def test_a_look_spends_its_share_of_every_level(replicates):
     np.testing.assert_allclose([four.bias_low, four.bias_high], np.array(expected) / b.mean(), rtol=1e-4)
     theta = found.mean_square[8]
     assert four.rms_bias_high == pytest.approx(np.sqrt(max(0.0, theta.high(0.0125))))
-    assert "each at 5%/60/4 (4 looks, this one at K = 16)" in four.sentence
+    assert "each at 5%/60/4 (4 looks)" in four.sentence
+    assert "K = 16 replicates" in four.sentence
     assert "(97.5 %)" in four.sentence
     with pytest.raises(ValueError, match="looks is 0"):
         decide(found, tests=60, looks=0)
