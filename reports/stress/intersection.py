@@ -25,8 +25,8 @@ from reports.stress.tracers import Found, Trace
 
 # Of the distance, with room for 1 / cos up to 1e6: a hundred roundings are 1e-14.
 PRECISION = 1e-9
-# A long edge and the two short ones along it share no edge function: sheared, each corner is rounded by itself, and a
-# crack of some 2^-53 opens: ours loses about one in a thousand of the rays aimed at a junction to the bit.
+# A long edge and the two short ones along it share no edge function: sheared, each corner is rounded by itself, and
+# without slack a crack of some 2^-53 opens, through which one in a thousand of the rays aimed to the bit slips.
 _JUNCTION_RAYS = 4096
 
 

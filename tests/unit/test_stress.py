@@ -23,11 +23,6 @@ from scenes.load import load
 
 SMALL = 128
 UP = Vec3(0.0, 0.0, 1.0)
-# What ours fails today, each with its cause.
-KNOWN = {
-    f"T-junctions, scale {scale}, to the bit": "sheared vertices are rounded one by one, off the long edge"
-    for scale in ("1e-06", "1", "1e+06")
-}
 ROWS = [(group, row) for group, row in stress.rows(count=SMALL) if not row.timed]
 
 
@@ -39,9 +34,7 @@ def _fast(compiled):
 
 @pytest.mark.usefixtures("_fast")
 @pytest.mark.parametrize(("group", "row"), ROWS, ids=[f"{group}: {row.name}" for group, row in ROWS])
-def test_row(group, row, request):
-    if row.name in KNOWN:
-        request.node.add_marker(pytest.mark.xfail(reason=KNOWN[row.name]))
+def test_row(group, row):
     case = measure(group, row, ("ours",))
     assert case["passed"], f"{case['figure']}: {case['ours']} > {case['limit']} {case['faults']}"
 
