@@ -2,12 +2,15 @@
 
 import json
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
+from plotly.colors import sequential
 
-from reports.page import copy_static, page_environment, render_page
+from reports.page import copy_static, page_environment, pictures, render_page
 
 NAMES = {"ours": "ours", "paper": "the paper’s code", "mitsuba": "Mitsuba"}
 
@@ -43,6 +46,7 @@ def write(folder: Path) -> Path:
             groups=_groups(measured["cases"]),
             tallies={side: _tally(measured["cases"], side) for side in NAMES},
             passes=passes,
+            drawn=_drawn(measured["cases"], folder / "pictures"),
             repeat=_repeat,
         )
     except (KeyError, jinja2.UndefinedError) as error:
@@ -65,6 +69,22 @@ def _groups(cases: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     for case in cases:
         found.setdefault(case["group"], []).append(case)
     return found
+
+
+def _drawn(cases: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
+    """Pictures of the rows that have one, by one scale: the row, the file, the least, median and greatest number."""
+    shutil.rmtree(folder, ignore_errors=True)
+    maps = {case["name"]: np.array(case["picture"], np.float64) for case in cases if "picture" in case}
+    if not maps:
+        return {}
+    low, high = (float(of([of(each) for each in maps.values()])) for of in (np.nanmin, np.nanmax))
+    rows = []
+    for name, values in maps.items():
+        path = folder / f"{name.replace(',', '').replace(' ', '-')}.png"
+        pictures.save(path, pictures.rise(values, low=low, high=high))
+        three = (float(of(values)) for of in (np.nanmin, np.nanmedian, np.nanmax))
+        rows.append((name, f"pictures/{path.name}", *three))
+    return {"rows": rows, "low": low, "high": high, "colours": sequential.Viridis}
 
 
 def _tally(cases: list[dict[str, Any]], side: str) -> tuple[int, int]:

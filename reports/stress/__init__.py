@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from reports.bench.common import known, machine, positive
-from reports.stress import garbage, intersection, photons, radiance, shading
+from reports.stress import garbage, intersection, photons, radiance, rounding, shading
 from reports.stress.row import SIDES, Row
 from reports.stress.row import measure as measure_row
 
@@ -19,6 +19,7 @@ GROUPS: dict[str, ModuleType] = {
     "shading": shading,
     "radiance": radiance,
     "photons": photons,
+    "rounding": rounding,
     "garbage": garbage,
 }
 COUNT = 4096

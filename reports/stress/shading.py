@@ -119,10 +119,11 @@ def weights(count: int) -> Iterator[Row]:
 def reciprocity(count: int) -> Iterator[Row]:
     """f(w_i, w_o) = f(w_o, w_i), pairs at cosines of 1 to 1e-12.
 
-    D at the half vector h has the exponent x = tan²(h) / alpha², a relative error of x roundings times those of h,
-    which both orders share. F is the fifth power of 1 - w.h, whose 12 roundings, of both half vectors and products, are
-    of 1: relative to it they are `60 2^-53 / (1 - w.h)` where F0 < 1. The directions' lengths differ by roundings too,
-    and w_i.h from w_o.h by `(|w_i|² - |w_o|²) / |w_i + w_o|`, which is that over 2 w.h: hence the product of both.
+    With u = 2^-53: both orders share the bits of the half vector, of D and of each G1; 34 u are the products around
+    them (16) and the roundings of F itself (18). Its cosine c = w.h differs. By Cauchy-Schwarz the roundings of h cost
+    4 u sqrt(1 - c²), the two products 6 u, and the lengths of w, whose squares err by 11 u each as `_direction` rounds,
+    `(|w_i|² - |w_o|²) / |w_i + w_o|`, 11 u / c: in all at most 19 u / c. F = F0 + (1 - F0) x⁵ multiplies that by its
+    logarithmic derivative to x = 1 - c.
     """
     rng = np.random.default_rng(22)
     for alpha in (0.05, 0.3, 1.5):
@@ -147,13 +148,16 @@ def reciprocity(count: int) -> Iterator[Row]:
                         return math.inf
                     square = 0.25 * sum((a - b) ** 2 for a, b in zip(wi, wo, strict=True))
                     cosine = 0.5 * math.sqrt(sum((a + b) ** 2 for a, b in zip(wi, wo, strict=True)))
-                    spread = cosine * square / (1.0 + cosine)  # w.h (1 - w.h)
-                    allowed = 1e-12 if f0 == 1.0 or spread == 0.0 else max(1e-12, 60 * 2.0**-53 / spread)
-                    if max(one, other) > 1e-300:
+                    x = square / (1.0 + cosine)  # 1 - c, without cancellation
+                    fresnel = f0 + (1.0 - f0) * x**5
+                    slope = 5.0 * (1.0 - f0) * x**4 / fresnel if fresnel > 0.0 else math.inf
+                    # Beneath, products before the division by cosines of 1e-12 may be denormal.
+                    if max(one, other) > 1e-280:
+                        allowed = 2.0**-53 * (34.0 + 19.0 * slope / cosine)
                         worst = max(worst, abs(one - other) / max(one, other) / allowed)
                 return worst
 
-            figure = "relative difference over max(1e-12, 60 roundings / (w.h (1 - w.h)))"
+            figure = "relative difference over its roundings, 34 + 19 dlog F / dc / c of 2^-53"
             yield Row(f"reciprocity, alpha {alpha:g}, F0 {f0:g}", figure, 1.0, error)
 
 

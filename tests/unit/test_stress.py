@@ -17,9 +17,11 @@ from renderer import microfacet
 from renderer.vector import Vec3
 from reports import cli, stress
 from reports.page import stress as page
-from reports.stress import exact, garbage, intersection, photons, radiance, shading, tracers
+from reports.stress import exact, garbage, intersection, photons, radiance, rounding, shading, tracers
 from reports.stress.row import Row, measure
+from scenes.analytic import plate
 from scenes.load import load
+from scenes.model import Camera, PointLight, Scene
 
 SMALL = 128
 UP = Vec3(0.0, 0.0, 1.0)
@@ -91,6 +93,16 @@ def test_a_planted_fault_fails_a_row_of_intersection(fault, name, monkeypatch):
     assert not measure("intersection", row("intersection", name), ("ours",))["passed"]
 
 
+def one_sided(factor: float):
+    """The lobe, times a factor in one of both orders."""
+
+    def lobe(wi, wo, alpha, f0):
+        found = microfacet.eval_lobe(wi, wo, alpha, f0)
+        return Vec3(*(each * (factor if wi.x > wo.x else 1.0) for each in found))
+
+    return lobe
+
+
 def fails(group: str, name: str) -> bool:
     return not measure(group, row(group, name), ("ours",))["passed"]
 
@@ -108,6 +120,9 @@ def fails(group: str, name: str) -> bool:
         ("weights, alpha 0.3, cosine 1", "sample_lobe", lambda *given: (UP, Vec3(1.0 + 2.0**-52, 1, 1))),
         ("furnace, alpha 0.3, cosine 1", "sample_lobe", lambda *given: (UP, Vec3(0.8, 0.8, 0.8))),
         ("reciprocity, alpha 0.3, F0 1", "eval_lobe", lambda wi, wo, alpha, f0: Vec3(wo.z, wo.z, wo.z)),
+        ("reciprocity, alpha 0.3, F0 1", "eval_lobe", one_sided(1.0 + 1e-14)),
+        ("reciprocity, alpha 1.5, F0 0", "eval_lobe", one_sided(1.0 + 1e-12)),
+        ("reciprocity, alpha 1.5, F0 0.04", "eval_lobe", one_sided(1.0 + 1e-14)),
         ("opposite directions", "eval_lobe", lambda wi, wo, alpha, f0: Vec3(1.0, 1.0, 1.0)),
         ("frame at -z, 1e-08 beside", "frame", lambda n: np.eye(3) * (1.0 + 1e-14)),
         ("visible slopes, alpha 0.5, cosine 0.1", "sample_visible_normal", lambda *given: UP),
@@ -156,6 +171,103 @@ def test_a_kernel_that_knows_no_borders_fails_rows_of_photons(name, monkeypatch)
     """The paper's search divides by a whole disc and does not ask for the object."""
     monkeypatch.setattr(photons, "_ours", photons._paper)
     assert fails("photons", name)
+
+
+@pytest.mark.usefixtures("_fast")
+@pytest.mark.parametrize("gap", ["0.01", "0.0001", "1e-06", "1e-12"])
+def test_a_kernel_that_knows_no_sides_leaks_through_thin_walls(gap, monkeypatch):
+    """All photons within a ball, over its disc: Jensen's estimate without his test of the normal."""
+
+    def ball(scene, photons, surface):
+        near = ((photons.position - np.array(surface.point)) ** 2).sum(axis=1) < photons.radius**2
+        return photons.power[near, 0].sum() / (np.pi * photons.radius**2)
+
+    monkeypatch.setattr(photons, "_ours", ball)
+    assert fails("photons", f"a wall {gap} thin")
+
+
+@pytest.mark.usefixtures("_fast")
+@pytest.mark.parametrize("albedo", ["0.1", "0.5", "0.9"])
+def test_a_lost_bounce_fails_the_flux_of_a_closed_box(albedo, monkeypatch):
+    """Light after the first hit is lost, albedo of it all; the limit of 4096 photons is below a half of that."""
+    emitted = photons._emitted
+
+    def lost(scene, count, threads):
+        found = emitted(scene, count, threads)
+        return found._replace(power=found.power * (1.0 - float(albedo)))
+
+    monkeypatch.setattr(photons, "_emitted", lost)
+    name = f"flux in a closed box of albedo {albedo}"
+    (one,) = (each for _, each in stress.rows(("photons",), 4096) if each.name == name)
+    assert not measure("photons", one, ("ours",))["passed"]
+
+
+def grazing() -> Scene:
+    """A plate under a point light 1e-4 above its plane and beside it: cosines of 1e-5 to 1e-4."""
+    floor = plate("floor", (-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
+    lamp = PointLight((-2.0, 0.3, 1e-4), (1.0, 1.0, 1.0))
+    return rounding.moved(
+        Scene("grazing", Camera((0.0, -3.0, 1.0), (0.0, 0.0, 0.0)), (floor,), lights=(lamp,))
+    )
+
+
+def irradiance(cosine):
+    """E of points of the plate, by a formula of the cosine of a direction and a normal."""
+    u, v = (each[..., None] for each in np.meshgrid(*2 * [(np.arange(32) + 0.5) / 32]))
+
+    def image(scene: Scene) -> np.ndarray:
+        a, b, _, c = scene.objects[0].mesh.vertices
+        normal = np.cross(b - a, c - a)
+        way = np.array(scene.lights[0].position) - (a + u * (b - a) + v * (c - a))
+        square = (way**2).sum(axis=-1, keepdims=True)
+        cos = cosine(way / np.sqrt(square), normal / np.linalg.norm(normal))[..., None]
+        return np.array(scene.lights[0].intensity) * cos / square
+
+    return image
+
+
+def test_a_cancellation_at_grazing_angles_is_flagged():
+    """sqrt(1 - sin²) loses 1 / cos² of the digits, the scalar product the 1 / cos that nature takes."""
+    sound = rounding.spread(irradiance(lambda way, normal: np.abs(way @ normal)), grazing())
+    assert rounding.quantile(sound, 0.5) < rounding.MEDIAN
+    assert rounding.quantile(sound, 0.999) < rounding.HIGH
+    assert np.nanmedian(sound.relative) > 1e4 * rounding.UNIT  # ill-conditioned, and not to blame
+
+    def cancelling(way, normal):
+        return np.sqrt(np.maximum(0.0, 1.0 - (np.cross(way, normal) ** 2).sum(axis=-1)))
+
+    planted = rounding.spread(irradiance(cancelling), grazing())
+    assert not planted.flips.all()
+    assert rounding.quantile(planted, 0.5) > rounding.MEDIAN
+    assert rounding.quantile(planted, 0.999) > rounding.HIGH
+
+
+def test_a_sample_that_goes_another_way_is_counted_apart():
+    """A step at a number that the perturbation crosses in one pixel."""
+    edge = grazing().lights[0].intensity[0]
+
+    def image(scene: Scene) -> np.ndarray:
+        lit = np.full((2, 2, 3), scene.lights[0].intensity[0])
+        lit[0, 0] *= 1.0 if lit[0, 0, 0] > edge else 0.5
+        return lit
+
+    found = rounding.spread(image, grazing())
+    assert found.flips.tolist() == [[True, False], [False, False]]
+    assert np.isnan(found.growth[0, 0])
+    assert 2 / 3 <= found.growth[1, 1] <= 4 / 3  # x (1 ± 2^-52) is rounded by at most a third of its change
+
+
+@pytest.mark.usefixtures("_fast")
+def test_samples_in_float32_fail_rows_of_rounding(monkeypatch):
+    sound = rounding._image
+    monkeypatch.setattr(
+        rounding, "_image", lambda *given: sound(*given).astype(np.float32).astype(np.float64)
+    )
+    rounding._spread.cache_clear()
+    try:
+        assert fails("rounding", "direct, median")
+    finally:
+        rounding._spread.cache_clear()
 
 
 @pytest.mark.usefixtures("_fast")
@@ -247,7 +359,8 @@ def test_a_crash_fails_the_row_and_is_told():
 
 def test_unknown_groups_and_rows_are_refused():
     with pytest.raises(
-        ValueError, match="group = 'x': allowed are intersection, shading, radiance, photons, garbage"
+        ValueError,
+        match="group = 'x': allowed are intersection, shading, radiance, photons, rounding, garbage",
     ):
         stress.measure(groups=("x",))
     with pytest.raises(ValueError, match="case = 'no such row'"):
