@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane (each compiles kernels and renders) and of the audit: more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare variants bench test audit lint format clean distclean
+.PHONY: help install compare variants bench stress test audit lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -34,6 +34,9 @@ bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error,
 	@.venv/bin/termwise bench terms --out $(OUT)
 	@.venv/bin/termwise bench scaling --out $(OUT)
 	@.venv/bin/termwise bench economies --out $(OUT)
+
+stress: .venv/.installed ## Exact properties under hostile input, beside the paper's code and Mitsuba; OUT=out
+	@.venv/bin/termwise stress --out $(OUT)
 
 test: .venv/.installed ## Run the tests, then the unit tests again as plain Python
 	.venv/bin/python -m pytest -q -n $(JOBS)

@@ -1,8 +1,8 @@
-"""The command `termwise`: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, bench.
+"""The command termwise: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, bench, stress.
 
 Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`; of `diff`, something became
-worse); 2: bad input, or a run, or one of its scenes, that could not end. With --json one object goes to standard
-output, all else to standard error.
+worse; of `stress`, a row failed); 2: bad input, or a run, or one of its scenes, that could not end. With --json one
+object goes to standard output, all else to standard error.
 """
 
 import functools
@@ -761,6 +761,7 @@ def rays(
         Print them on standard output.
     """
     from reports.bench import rays as bench_rays
+    from reports.page import bench as page
 
     measured = _measured(
         out / "bench",
@@ -768,6 +769,7 @@ def rays(
         lambda report: bench_rays.measure(
             threads=threads, pairs=pairs, count=count, only=tuple(mesh or ()), report=report
         ),
+        page.write,
         quiet=quiet or json_,
     )
     if json_:
@@ -838,6 +840,7 @@ def terms(
         Print them on standard output.
     """
     from reports.bench import terms as bench_terms
+    from reports.page import bench as page
 
     measured = _measured(
         out / "bench",
@@ -851,6 +854,7 @@ def terms(
             threads=threads,
             report=report,
         ),
+        page.write,
         quiet=quiet or json_,
     )
     if json_:
@@ -911,6 +915,7 @@ def scaling(
         Print them on standard output.
     """
     from reports.bench import scaling as bench_scaling
+    from reports.page import bench as page
 
     measured = _measured(
         out / "bench",
@@ -918,6 +923,7 @@ def scaling(
         lambda report: bench_scaling.measure(
             axes=tuple(axis or ()), runs=runs, threads=threads, report=report
         ),
+        page.write,
         quiet=quiet or json_,
     )
     if json_:
@@ -979,6 +985,7 @@ def economies(
         Print them on standard output.
     """
     from reports.bench import economies as bench_economies
+    from reports.page import bench as page
 
     measured = _measured(
         out / "bench",
@@ -991,6 +998,7 @@ def economies(
             threads=threads,
             report=report,
         ),
+        page.write,
         quiet=quiet or json_,
     )
     failed = [case for case in measured["cases"] if case["verdict"] in _PROVEN]
@@ -1022,18 +1030,93 @@ def economies(
     return 1 if failed else 0
 
 
-def _measured(
-    folder: Path, name: str, measure: Callable[[Report], dict[str, Any]], *, quiet: bool
-) -> dict[str, Any]:
-    """Run a benchmark and show its progress; its numbers go to the folder with the command, and onto its page."""
-    from reports.page import bench as page
+@app.command
+def stress(
+    *,
+    group: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    case: str = "",
+    count: Integer = 4096,
+    out: Path = Path("out"),
+    quiet: Quiet = False,
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Assert exact and analytic properties under hostile input, ours beside the paper's code and Mitsuba.
 
+    Parameters
+    ----------
+    group
+        Names of groups; all if none.
+    case
+        Only the row of this name, or those whose names have it in them.
+    count
+        Rays or samples of a row, about.
+    out
+        The numbers go to OUT/stress/stress.json, the page beside it.
+    quiet
+        No progress on standard error.
+    json_
+        Print them on standard output.
+    """
+    from reports import stress as lab
+    from reports.page import stress as page
+
+    measured = _measured(
+        out / "stress",
+        "stress",
+        lambda report: lab.measure(groups=tuple(group or ()), case=case, count=count, report=report),
+        page.write,
+        quiet=quiet or json_,
+    )
+    status = 1 if measured["failed"] else 0
+    if json_:
+        print(json.dumps(measured, allow_nan=False))
+        return status
+    _print_stress(measured)
+    return status
+
+
+def _print_stress(measured: dict[str, Any]) -> None:
+    shown = lambda value: "-" if value is None else f"{value:.3g}"  # noqa: E731
+    for group in dict.fromkeys(case["group"] for case in measured["cases"]):
+        title = f"\n[bold]{group}"
+        table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
+        for name in ("row", "ours", "paper", "Mitsuba", "limit", ""):
+            table.add_column(name, justify="left" if name in ("row", "") else "right")
+        for case in measured["cases"]:
+            if case["group"] == group:
+                colour, word = ("green", "passed") if case["passed"] else ("red", "FAILED")
+                figures = (shown(case[name]) for name in ("ours", "paper", "mitsuba", "limit"))
+                table.add_row(case["name"], *figures, f"[{colour}]{word}[/{colour}]")
+        _output.print(table)
+    for case in measured["cases"]:
+        if not case["passed"]:
+            why = case["faults"].get(
+                "ours", f"{case['figure']}: {shown(case['ours'])} > {shown(case['limit'])}"
+            )
+            _output.print(
+                f"{case['group']}: {case['name']}: {why}", highlight=False, soft_wrap=True, markup=False
+            )
+    _output.print(
+        f"{len(measured['cases'])} rows in {measured['seconds']:.0f} s, {measured['failed']} failed",
+        highlight=False,
+    )
+
+
+def _measured(
+    folder: Path,
+    name: str,
+    measure: Callable[[Report], dict[str, Any]],
+    write: Callable[[Path], Path],
+    *,
+    quiet: bool,
+) -> dict[str, Any]:
+    """Measure and show the progress; the numbers go to the folder with the command, and onto its page."""
     _folder(folder)
     with progress.stages(_messages, quiet=quiet) as stage:
         measured = measure(stage(name.capitalize()))
     measured["command"] = _command()
     (folder / f"{name}.json").write_text(json.dumps(measured, indent=1), "utf-8")
-    page.write(folder)
+    write(folder)
     return measured
 
 

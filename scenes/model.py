@@ -219,7 +219,14 @@ class Camera:
         forward = np.subtract(self.target, self.position)
         if not forward.any():
             raise ValueError(f"target = {self.target!r}: allowed is a point other than position")
-        if not np.linalg.norm(np.cross(forward, self.up)) > 0:
+        with np.errstate(over="ignore", invalid="ignore"):
+            apart, across = np.linalg.norm(forward), np.linalg.norm(np.cross(forward, self.up))
+        if not (0.0 < apart < math.inf and across < math.inf):
+            raise ValueError(
+                f"position = {self.position!r}, target = {self.target!r}, up = {self.up!r}: allowed are points whose "
+                "distance, and its product with up, have a square that is a float64"
+            )
+        if not across > 0:
             raise ValueError(f"up = {self.up!r}: allowed is a vector not parallel to target - position")
 
     def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

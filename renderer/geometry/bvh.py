@@ -169,12 +169,16 @@ def _build(
 
 
 def build(corners: np.ndarray) -> Tree:
-    """Build the tree over triangles `corners` (F, 3, 3) float64; an empty scene gets no node."""
-    faces = len(corners)
+    """Build the tree over triangles `corners` (F, 3, 3) float64; an empty scene gets no node.
+
+    Faces without area are left out: no ray meets them, but rounding lets some that are aimed at three points of a line.
+    """
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    order = np.flatnonzero(normals.any(axis=1)).astype(np.int32)
+    faces = len(order)
     most = max(1, 2 * faces)
     bounds = np.empty((most, 2, 3))
     right, first, count = (np.zeros(most, np.int32) for _ in range(3))
-    order = np.arange(faces, dtype=np.int32)
     nodes = 0
     if faces:
         lows = np.ascontiguousarray(corners.min(axis=1))

@@ -3,7 +3,9 @@
 Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013: shear the triangle so that the ray is the
 z axis; the hit is inside where the three scaled edge functions U, V, W have one sign, and
 `t = (U z0 + V z1 + W z2) / (U + V + W)`. Edges that two triangles share get the same edge function, so no ray slips
-between them. Both sides of a triangle are hit. A triangle without area is never hit.
+between them. Where a corner lies on a longer edge (a T-junction), the functions differ by their roundings: a sign
+counts only beyond 2^-48 |U + V + W|, in the manner of Embree's robust test. Both sides of a triangle are hit. A
+triangle without area is never hit.
 """
 
 import math
@@ -49,6 +51,8 @@ class FaceRange(NamedTuple):
 
 
 NOTHING = FaceRange(-1, 0)
+EDGE_SLACK = 2.0**-48
+"""32 roundings of a coordinate as large as the triangle."""
 
 
 @device
@@ -117,9 +121,10 @@ def intersect_triangle(ray: Ray, corners: np.ndarray, face: int, far: float) -> 
     u = cx * by - cy * bx
     v = ax * cy - ay * cx
     w = bx * ay - by * ax
-    if (u < 0.0 or v < 0.0 or w < 0.0) and (u > 0.0 or v > 0.0 or w > 0.0):
-        return Hit(far, -1, 0.0, 0.0)
     det = u + v + w
+    slack = EDGE_SLACK * abs(det)
+    if min(u, v, w) < -slack and max(u, v, w) > slack:
+        return Hit(far, -1, 0.0, 0.0)
     if det == 0.0:
         return Hit(far, -1, 0.0, 0.0)
     scale = 1.0 / det

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.intersect import FaceRange, Hit, Ray, component
+from renderer.geometry.intersect import EDGE_SLACK, FaceRange, Hit, Ray, component
 from renderer.geometry.simd import (
     as_int,
     bits,
@@ -30,6 +30,7 @@ from renderer.geometry.simd import (
     load_int,
     load_ints,
     lowest_bit,
+    magnitude,
     maximum,
     minimum,
     numbers,
@@ -234,8 +235,9 @@ def edges(a: tuple, b: tuple, c: tuple, s: Shear) -> Triangles:
     v = ax * cy - ay * cx
     w = bx * ay - by * ax
     det = u + v + w
+    slack = splat(EDGE_SLACK, 8) * magnitude(det)
     zero = splat(0.0, 8)
-    one_sign = (minimum(minimum(u, v), w) >= zero) | (maximum(maximum(u, v), w) <= zero)
+    one_sign = (minimum(minimum(u, v), w) + slack >= zero) | (maximum(maximum(u, v), w) - slack <= zero)
     return Triangles(u, v, w, az, bz, cz, det, one_sign & (det != zero))
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from plotly.colors import diverging, unlabel_rgb
+from plotly.colors import diverging, hex_to_rgb, sequential, unlabel_rgb
 
 from reports.metrics import encode
 from reports.tiles import LEVEL
@@ -38,6 +38,7 @@ _OUTLINE = 3
 # ColorBrewer's RdBu, safe for colour-blind eyes; its middle is made white, since 0 is no error.
 _KNOTS = np.array([unlabel_rgb(colour) for colour in reversed(diverging.RdBu)])
 _KNOTS[len(_KNOTS) // 2] = 255.0
+_RISING = np.array([hex_to_rgb(colour) for colour in sequential.Viridis], np.float64)
 _LEVELS = 255  # odd: 0 has a level of its own
 _DIVERGING = np.stack(
     [np.interp(np.linspace(0, len(_KNOTS) - 1, _LEVELS), np.arange(len(_KNOTS)), c) for c in _KNOTS.T], axis=1
@@ -83,6 +84,13 @@ def diverge(error: np.ndarray, *, scale: float) -> np.ndarray:
     share = np.clip(np.where(valid, error, 0.0) / scale, -1.0, 1.0)
     level = np.round((share + 1.0) / 2.0 * (_LEVELS - 1)).astype(int)
     return np.where(valid[..., None], np.round(_DIVERGING[level]).astype(np.uint8), INVALID)
+
+
+def rise(values: np.ndarray, *, low: float, high: float) -> np.ndarray:
+    """(H, W, 3) uint8 colours of numbers (H, W) above 0, by their logarithm from dark to bright; grey where NaN."""
+    place = np.log(np.where(np.isfinite(values), values, low) / low) / np.log(high / low)
+    shown = np.stack([np.interp(place, np.linspace(0, 1, len(_RISING)), c) for c in _RISING.T], axis=-1)
+    return np.where(np.isfinite(values)[..., None], np.round(shown).astype(np.uint8), np.uint8(_NOTHING))
 
 
 def p_map(

@@ -324,3 +324,15 @@ def test_shared_edge_belongs_to_at_least_one_side(compiled):
         corners = np.array([rng.permutation([a, b, c]), rng.permutation([a, b, d])])
         hits = [intersect_triangle(ray, corners, face, math.inf).face for face in (0, 1)]
         assert max(hits) >= 0
+
+
+def test_needles_that_rays_are_aimed_at_are_never_hit():
+    """Three points of a line, exact ones: rounding in the shear gave some of these rays a hit there."""
+    rng = np.random.default_rng(10)
+    needles = rng.integers(-8, 8, (50, 1, 3)) / 8 + np.arange(3)[:, None] * rng.integers(1, 8, (50, 1, 3)) / 8
+    soup = Soup(needles)
+    for face in range(50):
+        origin = rng.normal(size=3)
+        direction = rng.dirichlet((1, 1, 1)) @ needles[face] - origin
+        assert soup.closest(origin, direction).face == -1
+        assert not soup.any(origin, direction)

@@ -80,6 +80,10 @@ BAD = {
     "fov 180": (GOOD.replace("[camera]", "[camera]\nfov = 180.0"), ["fov = 180.0", "(0, 180)"]),
     "near 0": (GOOD.replace("[camera]", "[camera]\nnear = 0.0"), ["near = 0.0", "(0, inf)"]),
     "nan position": (GOOD.replace("[0.0, -3.0, 1.0]", "[nan, -3.0, 1.0]"), ["position = (nan, -3.0, 1.0)"]),
+    "target beyond squares": (
+        GOOD.replace("target = [0.0,", "target = [1e300,"),
+        ["target = (1e+300, 0.0, 0.0)", "allowed are points"],
+    ),
     "view along up": (
         GOOD.replace("[0.0, -3.0, 1.0]", "[0.0, 0.0, 1.0]"),
         ["up = (0.0, 0.0, 1.0)", "not parallel"],
