@@ -3,13 +3,15 @@
 Each image is a script `data/SCENE/NAME.js`, loaded when the viewer first needs it, that hands its pixels to a
 callback. Pixels are float32 in the bytes of little-endian machines, sorted by their place within the number (all first
 bytes, all second ones, ...), deflated, in base64. An image is its mean, bit by bit that of the EXR, then the standard
-error of that mean, kept to 11 bits; a FLIP map is one plane of 11 bits.
+error of that mean, kept to 11 bits; a FLIP map is one plane of 11 bits. The tests of a cell's tiles are one script, of
+`reports.tiles.MAPS` for each size, in this order, row by row.
 
 The maps of the viewer, Y the luminance, I ours, R the reference, s² the variance of a mean over replicates:
 
     signed      (Y(I) - Y(R)) / mean Y(R)
     relative    (Y(I) - Y(R)) / max(Y(R), FLOOR · mean Y(R))
     deviations  (I - R) / sqrt(s_I² + s_R²), of the channel where it is greatest
+    p           Welch's test of no bias in a tile, against the own limit alone (see `reports.tiles`)
     flip        LDR-FLIP (Andersson et al. 2020) of both as displayed at the scene's exposure
 """
 
@@ -28,7 +30,8 @@ from scipy import stats
 
 from reports.metrics import encode
 from reports.page import pictures
-from reports.verdict import LUMINANCE
+from reports.tiles import LEVEL, MAPS
+from reports.verdict import LUMINANCE, TILE_SIDES
 from scenes.store import write_atomically
 
 FLOOR = 0.01
@@ -100,6 +103,8 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
                 "key": f"ours-{cell}",
                 "verdict": row.get("verdict"),
                 "replicates": row.get("replicates"),
+                "tiles": _write_tiles(folder, dataset.isel(cell=cell), f"tiles-{cell}"),
+                "merged": {each["side"]: each["merged_into"] for each in row.get("tiles", [])},
                 "against": against,
             }
         )
@@ -116,6 +121,13 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
         "width": ours.shape[2],
         "terms": terms,
         "scales": scales,
+        "sides": TILE_SIDES,
+        "maps": MAPS,
+        "level": LEVEL,
+        "sure": pictures.SURE,
+        "palest": pictures.PALEST,
+        "greys": pictures.GREYS,
+        "nothing": pictures.NOTHING,
         "floor": FLOOR,
         "deviations": DEVIATIONS,
         "luminance": LUMINANCE,
@@ -156,6 +168,15 @@ def _write_flip(
     right, its = (encode(image, exposure=exposure).astype(np.float32) for image in (reference, ours))
     flip, _, _ = evaluate(right, its, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False)
     _write(folder, key, _rounded(np.asarray(flip)[..., 0]))
+    return key
+
+
+def _write_tiles(folder: Path, cell: Any, key: str) -> str | None:
+    """The key of the tests of a cell's tiles; None where the run has none of it."""
+    names = [f"tile_{name}_{side}" for side in TILE_SIDES for name in MAPS]
+    if not all(name in cell for name in names) or not any(np.isfinite(cell[name]).any() for name in names):
+        return None
+    _write(folder, key, np.concatenate([cell[name].values.ravel() for name in names]))
     return key
 
 
