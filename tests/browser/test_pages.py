@@ -22,7 +22,7 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 from scipy import stats
 
-from reports import images, page
+from reports import images, microscope, page
 from reports.page import single
 
 SIZE = 24
@@ -110,6 +110,34 @@ def tile_tests(rng: np.random.Generator) -> dict[str, tuple[tuple[str, ...], np.
     return found
 
 
+SAMPLES = [(1, 2, 4, 8, 16)] * 2 + [(1, 2, 4, 0, 0)] + [(0,) * 5]
+
+
+def sweeps(rng: np.random.Generator) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Tiles of each cell after its samples; the references' replicates in the same tiles, cut by an object."""
+    objects = np.arange(SIZE) // 12 % 2 - np.ones((SIZE, 1), int)
+    pieces = microscope.pieces(objects)
+    found = len(pieces.pixels)
+    names = "cell", "prefix", "tile_y_8", "tile_x_8"
+    return {
+        "object": (("y", "x"), objects),
+        **{f"piece_{name}": ("piece", getattr(pieces, name)) for name in ("object", "x", "y", "pixels")},
+        "image_pieces": (
+            ("cell", "replicate", "piece"),
+            rng.gamma(9.0, 0.1, (len(CELLS), REPLICATES, found)),
+        ),
+        "reference_pieces": (
+            ("limit", "reference_replicate", "piece"),
+            rng.gamma(9.0, 0.1, (len(LIMITS), REFERENCE_REPLICATES, found)),
+        ),
+        "rendered": (("cell", "y", "x", "channel"), np.full((len(CELLS), SIZE, SIZE, 3), np.nan)),
+        "rendered_replicate": ("cell", np.full(len(CELLS), -1)),
+        "sweep_samples": (names[:2], np.array(SAMPLES)),
+        "sweep_luminance": (names, rng.gamma(9.0, 0.1, (len(CELLS), 5, 3, 3))),
+        "sweep_variance": (names, rng.gamma(9.0, 1e-4, (len(CELLS), 5, 3, 3))),
+    }
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     """The folder of a finished run: `results.json`, `results.nc`, `images/*.exr` and its pages."""
@@ -133,11 +161,13 @@ def run(tmp_path_factory) -> Path:
                     rng.gamma(2, 1e-4, reference.shape).astype(np.float32),
                 ),
             }
-            | tile_tests(rng),
+            | tile_tests(rng)
+            | sweeps(rng),
             {
                 "cell_term": ("cell", [term for term, _ in CELLS]),
                 "cell_variant": ("cell", [variant for _, variant in CELLS]),
                 "limit_name": ("limit", LIMITS),
+                "object_name": ("objects", ["a wall"]),
                 **{name: ("cell", limits) for name, limits in AGAINST.items()},
             },
             {"exposure": 0.8},
@@ -369,6 +399,48 @@ def test_p_map_has_three_sizes_and_says_where_there_is_none(view):
     assert (
         "this row has no p-map" in view("#term=direct&beside=p").locator("#right + figcaption").inner_text()
     )
+
+
+@pytest.mark.parametrize("cell", [1, 2])
+def test_inspector_shows_the_convergence_of_the_tile(view, run, cell):
+    term, variant = CELLS[cell]
+    page = view(f"#term={term}&variant={variant}&pixel=10,17")
+    with xarray.open_dataset(run / "results.nc", group=SCENE, engine="h5netcdf") as data:
+        ours = data["sweep_luminance"].values[cell, :, 2, 1]
+        errors = np.sqrt(data["sweep_variance"].values[cell, :, 2, 1])
+        within = (data["piece_x"].values == 8) & (data["piece_y"].values == 16)
+        stack = data["reference_pieces"].values[AGAINST["own"][cell]][:, within]
+        right = np.average(stack, axis=1, weights=data["piece_pixels"].values[within])
+    assert within.sum() == 2
+    samples = [count for count in SAMPLES[cell] if count]
+    svg = page.locator("#convergence svg")
+    said = svg.get_attribute("aria-label")
+    shown = [(float(value), int(n)) for value, n in re.findall(r"([\d.]+) after (\d+)", said)]
+    assert [n for _, n in shown] == samples
+    # Kept to 11 bits.
+    assert [value for value, _ in shown] == pytest.approx(ours[: len(samples)], rel=1e-3)
+    assert float(said.rpartition("reference ")[2]) == pytest.approx(right.mean(), rel=1e-3)
+
+    def of(name, *attributes):
+        return np.array(
+            [[float(each.get_attribute(a)) for a in attributes] for each in svg.locator(name).all()]
+        )
+
+    points, ((middle,),) = of("circle", "cx", "cy"), of("line", "y1")
+    assert np.ptp(np.diff(points[:, 0])) < 1e-6  # a logarithmic axis
+    # All heights are of one scale: that of the points' values.
+    scale, zero = np.polyfit(ours[: len(samples)], points[:, 1], 1)
+    assert scale < 0
+    assert middle == pytest.approx(scale * right.mean() + zero, abs=1.0)
+    ((top, height),) = of("rect", "y", "height")
+    half = stats.t.ppf(0.95, len(right) - 1) * stats.sem(right)
+    assert (top, height) == pytest.approx((scale * (right.mean() + half) + zero, -2 * scale * half), abs=1.0)
+    band = svg.locator("polygon").get_attribute("points")
+    edge = np.array([float(pair.split(",")[1]) for pair in band.split(" ")])
+    half = stats.t.ppf(0.95, REPLICATES - 1) * errors[: len(samples)]
+    assert edge[: len(samples)] == pytest.approx(scale * (ours[: len(samples)] + half) + zero, abs=1.0)
+    assert "x 8–15, y 16–23" in page.locator("#convergence figcaption").inner_text()
+    assert "the sum is measured" in view("#term=total&pixel=1,1").locator("#convergence").inner_text()
 
 
 def test_flip_map_is_black_where_nothing_differs_and_bright_where_all_does(view):

@@ -259,6 +259,7 @@ function inspect() {
     const [a, b] = [luminance(ours, place), luminance(reference, place)];
     rows.push(["luminance", number(a), number(b), number(a - b), "–", "–"]);
   }
+  converge(pixel);
   find("tile").textContent = pixel && state.beside === "p" ? tileWords(pixel) : "";
   table.tBodies[0].replaceChildren(...rows.map(([first, ...rest]) => {
     const row = document.createElement("tr");
@@ -290,6 +291,66 @@ function untested() {
   if (!tested()) return "p-maps test against the own limit alone";
   const into = variant().merged[state.side];
   return into ? `too skewed for the test, merged into the tiles of ${into} px` : "";
+}
+
+// Luminance of the pixel's tile after 1, 2, 4, ... samples, with 90 % intervals, beside the reference's
+const SVG = { width: 460, height: 190, left: 62, right: 12, top: 10, bottom: 38 };
+
+function element(name, attributes, text) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+function converge(pixel) {
+  const figure = find("convergence");
+  const { samples } = variant();
+  figure.hidden = !pixel || !pair();
+  if (figure.hidden) return;
+  const svg = figure.querySelector("svg");
+  const words = figure.querySelector("figcaption");
+  svg.replaceChildren();
+  svg.toggleAttribute("hidden", !samples.length);
+  if (!samples.length) {
+    words.textContent = state.term === "total" ? "No convergence: the sum is measured at its last sample count alone" : "No convergence: this run does not hold it";
+    return;
+  }
+  const side = viewed.sweep_side;
+  const [column, row] = [Math.floor(pixel[0] / side), Math.floor(pixel[1] / side)];
+  const tilesX = Math.ceil(width / side);
+  const count = tilesX * Math.ceil(height / side);
+  const at = row * tilesX + column;
+  const estimate = (values, index, replicates) => {
+    const half = replicates > 1 ? viewed.quantiles[Math.min(replicates - 1, viewed.quantiles.length) - 1] * values[(2 * index + 1) * count + at] : NaN;
+    const mean = values[2 * index * count + at];
+    return { mean, low: mean - half, high: mean + half };
+  };
+  const ours = samples.map((_, index) => estimate(loaded.get(variant().sweep), index, variant().replicates));
+  const right = estimate(loaded.get(pair().sweep), 0, pair().replicates);
+  const shown = [...ours, right].flatMap(Object.values).filter(Number.isFinite);
+  let [low, high] = [Math.min(...shown), Math.max(...shown)];
+  if (!(high > low)) [low, high] = [low - (Math.abs(low) || 1) * 0.01, high + (Math.abs(high) || 1) * 0.01];
+  const last = Math.log2(samples.at(-1)) || 1;
+  const x = (n) => SVG.left + ((SVG.width - SVG.left - SVG.right) * Math.log2(n)) / last;
+  const y = (value) => SVG.top + ((SVG.height - SVG.top - SVG.bottom) * (high - value)) / (high - low);
+  const whole = (each) => Number.isFinite(each.low);
+  if (whole(right)) svg.append(element("rect", { class: "reference", x: SVG.left, width: SVG.width - SVG.left - SVG.right, y: y(right.high), height: Math.max(y(right.low) - y(right.high), 1) }));
+  const valid = samples.map((n, index) => ({ n, ...ours[index] })).filter((each) => Number.isFinite(each.mean));
+  if (valid.length && valid.every(whole)) {
+    const edge = [...valid.map((each) => [x(each.n), y(each.high)]), ...valid.map((each) => [x(each.n), y(each.low)]).reverse()];
+    svg.append(element("polygon", { class: "ours", points: edge.map(String).join(" ") }));
+  }
+  if (Number.isFinite(right.mean)) svg.append(element("line", { class: "reference", x1: SVG.left, x2: SVG.width - SVG.right, y1: y(right.mean), y2: y(right.mean) }));
+  svg.append(element("polyline", { class: "ours", points: valid.map((each) => `${x(each.n)},${y(each.mean)}`).join(" ") }));
+  for (const each of valid) svg.append(element("circle", { class: "ours", cx: x(each.n), cy: y(each.mean), r: 3 }));
+  for (const n of samples) svg.append(element("text", { x: x(n), y: SVG.height - SVG.bottom + 16, "text-anchor": "middle" }, n));
+  const digits = Math.min(Math.max(2, Math.ceil(1 - Math.log10((high - low) / Math.max(Math.abs(high), Math.abs(low)))) + 1), 7);
+  for (const value of [low, (low + high) / 2, high]) svg.append(element("text", { x: SVG.left - 8, y: y(value) + 4, "text-anchor": "end" }, number(Number(value.toPrecision(digits)))));
+  svg.append(element("text", { x: (SVG.left + SVG.width - SVG.right) / 2, y: SVG.height - 4, "text-anchor": "middle" }, "samples per pixel and replicate"));
+  svg.setAttribute("aria-label", `Luminance of the tile: ${samples.map((n, index) => `${number(ours[index].mean)} after ${n}`).join(", ")}; reference ${number(right.mean)}`);
+  const range = (from, size) => `${from}–${Math.min(from + side, size) - 1}`;
+  words.textContent = `Luminance of the tile around the pixel, x ${range(side * column, width)}, y ${range(side * row, height)}: mean of ${variant().replicates} replicates; dashed the reference. Bands: 90 % intervals`;
 }
 
 // Words
@@ -438,7 +499,8 @@ async function draw() {
   const turn = ++latest;
   controls();
   root.dataset.state = "loading";
-  const needed = [variant().key, pair()?.key, state.beside === "flip" ? pair()?.flip : null, state.beside === "p" && tested() ? variant().tiles : null].filter(Boolean);
+  const swept = variant().samples.length ? [variant().sweep, pair()?.sweep] : [];
+  const needed = [variant().key, pair()?.key, ...swept, state.beside === "flip" ? pair()?.flip : null, state.beside === "p" && tested() ? variant().tiles : null].filter(Boolean);
   try {
     await Promise.all(needed.map(load));
   } catch (error) {
