@@ -7,6 +7,8 @@ there is none, and the maps of its tiles, see `reports.tiles`. `object(y, x)` is
 luminance of its pieces (see `reports.microscope`) stands for each replicate, which pixels' variances cannot say. One
 replicate of each cell, the worst at its worst pixel, is there whole, in float64 as it was rendered: `rendered(cell, y,
 x, channel)` and its number `rendered_replicate(cell)`; NaN and -1 for the total and for estimators in Python.
+`sweep_luminance(cell, prefix, tile_y_8, tile_x_8)` is the mean over replicates after `sweep_samples(cell, prefix)`,
+with its variance; 0 samples and NaN where a cell has fewer prefixes, and for the total.
 """
 
 import errno
@@ -20,9 +22,10 @@ import xarray
 
 from reports import microscope
 from reports.cells import Cell
+from reports.microscope import SIDE
 from reports.subjects import Subject
 from reports.tiles import TileMap, variables
-from reports.verdict import CHANNELS
+from reports.verdict import CHANNELS, LUMINANCE
 from scenes import limits
 from scenes.limits import Limit
 from scenes.store import write_atomically
@@ -97,6 +100,36 @@ def limit_name(limit: Limit) -> str:
     return " ".join(words)
 
 
+@attrs.frozen(eq=False)
+class Sweep:
+    """A cell's luminance in tiles of SIDE pixels after the first of its samples: pixels' would be a sixth of a report.
+
+    Attributes
+    ----------
+    samples : (P,) the prefixes 1, 2, 4, ..., N.
+    mean, variance : (P, rows, columns) float64, over replicates, and of that mean.
+    """
+
+    samples: tuple[int, ...]
+    mean: np.ndarray
+    variance: np.ndarray
+
+
+def sweep(cell: Cell) -> Sweep:
+    """The sweep of a cell's replicates."""
+    height, width = cell.images.shape[2:4]
+    sums = np.stack([_tile_sums(image.astype(np.float64) @ LUMINANCE) for image in cell.images])
+    stack = sums / _tile_sums(np.ones((height, width)))
+    return Sweep(cell.samples, stack.mean(axis=0), stack.var(axis=0, ddof=1) / len(stack))
+
+
+def _tile_sums(values: np.ndarray) -> np.ndarray:
+    """Sums (..., H, W) over tiles, smaller ones at the right and lower border."""
+    for axis in (-2, -1):
+        values = np.add.reduceat(values, range(0, values.shape[axis], SIDE), axis=axis)
+    return values
+
+
 @attrs.define(eq=False)
 class Pictures:
     """Collects the images of a run, scene by scene."""
@@ -108,6 +141,7 @@ class Pictures:
         self,
         subject: Subject,
         measured: list[Cell],
+        sweeps: list[Sweep],
         references: dict[Limit, np.ndarray],
         correct: dict[Term, np.ndarray],
         objects: np.ndarray,
@@ -174,6 +208,7 @@ class Pictures:
                     np.full((len(ours), height, width, len(CHANNELS)), np.nan),
                 ),
                 "rendered_replicate": ("cell", np.full(len(ours), -1)),
+                **_swept(sweeps, len(ours)),
             },
             {
                 "cell_term": ("cell", [term for term, _ in ours]),
@@ -237,6 +272,25 @@ def _padded(stacks: list[np.ndarray]) -> np.ndarray:
     return np.stack(
         [np.pad(stack, ((0, longest - len(stack)), (0, 0)), constant_values=np.nan) for stack in stacks]
     )
+
+
+def _swept(sweeps: list[Sweep], cells: int) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """The sweeps of a scene's cells as variables, up to as many prefixes as the longest has."""
+    longest = max(len(each.samples) for each in sweeps)
+    samples = np.zeros((cells, longest), np.int64)
+    mean, variance = (
+        np.full((cells, longest, *sweeps[0].mean.shape[1:]), np.nan, np.float32) for _ in range(2)
+    )
+    for cell, each in enumerate(sweeps):
+        samples[cell, : len(each.samples)] = each.samples
+        mean[cell, : len(each.samples)] = each.mean
+        variance[cell, : len(each.samples)] = each.variance
+    dims = "cell", "prefix", f"tile_y_{SIDE}", f"tile_x_{SIDE}"
+    return {
+        "sweep_samples": (dims[:2], samples),
+        "sweep_luminance": (dims, mean),
+        "sweep_variance": (dims, variance),
+    }
 
 
 def _stacked(dimension: str, arrays: list[np.ndarray]) -> tuple[tuple[str, ...], np.ndarray]:

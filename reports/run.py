@@ -189,7 +189,8 @@ def measure(
         source = sources[scene_name] = _Source(takes, subject, sources.get(subject.unchanged.name))
         measured = source.measure()
         made, checked = source.groups(measured), source.audits()
-        pictures.write(subject, measured, *source.images(), source.objects, versions())
+        sweeps = [images.sweep(cell) for cell in measured]
+        pictures.write(subject, measured, sweeps, *source.images(), source.objects, versions())
         described[scene_name] = _describe(study, subject, measured)
         extrapolations.extend(_extrapolations(takes, subject, source.rendered))
         groups.extend(made)
@@ -209,8 +210,8 @@ def measure(
         sequential.go_on(undecided, takes.ledger, study.budget)
         for scene_name, source in sources.items():
             if source.extended:
-                measured = source.extend()
-                pictures.write(source.subject, measured, *source.images(), source.objects, versions())
+                measured, sweeps = source.extend()
+                pictures.write(source.subject, measured, sweeps, *source.images(), source.objects, versions())
                 described[scene_name]["work"] = _work(measured)
     decided = [[_decided(row, tests, audited, looks) for row in group.rows] for group in groups]
     rows = [row for found in decided for row in found]
@@ -555,20 +556,21 @@ class _Source:
         """Whether a later look took more replicates."""
         return bool(self._factors)
 
-    def extend(self) -> list[Cell]:
-        """All replicates that the looks took: the references, and the cells at their last prefix."""
+    def extend(self) -> tuple[list[Cell], list[images.Sweep]]:
+        """All replicates that the looks took: the references, and the cells at their last prefix, with their sweeps."""
         scene, factors = self.subject.scene, self._factors
         limits_of = [limit for limit in self.rendered.rendered if limit in factors]
         self.rendered = self._with(
             {limit: self.takes.reference(scene, limit, factors[limit]) for limit in limits_of}
         )
-        measured = []
+        measured, sweeps = [], []
         with Engine(scene) as engine:
             for variant in (variant for term in TERMS for variant in self.subject.variants[term]):
                 cell = self._cell(engine, variant, factors.get(variant, 1))
                 last = cell.images[:, -1:].copy()
                 measured.append(attrs.evolve(cell, images=last, samples=cell.samples[-1:]))
-        return measured
+                sweeps.append(images.sweep(cell))
+        return measured, sweeps
 
     def images(self) -> tuple[dict[Limit, np.ndarray], dict[Term, np.ndarray]]:
         """Replicates of the references: of each limit, and the right ones of each term."""

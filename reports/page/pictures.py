@@ -31,8 +31,12 @@ MAP_SIZE = 512
 SURE = 1e-6
 """Adjusted p that has the full colour."""
 
-_GREYS = 200, 250  # p = 0 and p = 1
-_NOTHING = 110  # where neither side has anything
+PALEST = 0.4
+"""Of the full colour, what a tile has that is just found: it stands out against grey."""
+GREYS = 200, 250
+"""Of a tile that is not found, at p = 0 and p = 1."""
+NOTHING = 110
+"""Grey where neither side has anything."""
 _OUTLINE = 3
 
 # ColorBrewer's RdBu, safe for colour-blind eyes; its middle is made white, since 0 is no error.
@@ -113,10 +117,9 @@ def p_map(
     size : (int, int)
         H and W of the image; it is shown at a whole multiple of them.
     """
-    grey = np.where(np.isfinite(p), _GREYS[0] + (_GREYS[1] - _GREYS[0]) * np.nan_to_num(p), _NOTHING)
+    grey = np.where(np.isfinite(p), GREYS[0] + (GREYS[1] - GREYS[0]) * np.nan_to_num(p), NOTHING)
     surely = np.log(np.maximum(benjamini_hochberg, SURE) / LEVEL) / np.log(SURE / LEVEL)
-    # From where the colour stands out against grey.
-    colours = diverge(np.sign(bias) * (0.4 + 0.6 * surely), scale=1.0)
+    colours = diverge(np.sign(bias) * (PALEST + (1.0 - PALEST) * surely), scale=1.0)
     found = benjamini_hochberg <= LEVEL
     tiles = np.where(found[..., None], colours, np.round(grey)[..., None].astype(np.uint8))
 

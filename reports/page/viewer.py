@@ -3,13 +3,16 @@
 Each image is a script `data/SCENE/NAME.js`, loaded when the viewer first needs it, that hands its pixels to a
 callback. Pixels are float32 in the bytes of little-endian machines, sorted by their place within the number (all first
 bytes, all second ones, ...), deflated, in base64. An image is its mean, bit by bit that of the EXR, then the standard
-error of that mean, kept to 11 bits; a FLIP map is one plane of 11 bits.
+error of that mean, kept to 11 bits; a FLIP map is one plane of 11 bits. The tests of a cell's tiles are one script, of
+`reports.tiles.MAPS` for each size, in this order, row by row. A cell's sweep is, for each of its prefixes, the
+luminance of each tile of 8 px and its standard error; the reference's is one such pair.
 
 The maps of the viewer, Y the luminance, I ours, R the reference, s² the variance of a mean over replicates:
 
     signed      (Y(I) - Y(R)) / mean Y(R)
     relative    (Y(I) - Y(R)) / max(Y(R), FLOOR · mean Y(R))
     deviations  (I - R) / sqrt(s_I² + s_R²), of the channel where it is greatest
+    p           Welch's test of no bias in a tile, against the own limit alone (see `reports.tiles`)
     flip        LDR-FLIP (Andersson et al. 2020) of both as displayed at the scene's exposure
 """
 
@@ -26,9 +29,11 @@ from flip_evaluator import evaluate
 from plotly.colors import hex_to_rgb, sequential
 from scipy import stats
 
+from reports import microscope
 from reports.metrics import encode
 from reports.page import pictures
-from reports.verdict import LUMINANCE
+from reports.tiles import LEVEL, MAPS
+from reports.verdict import LUMINANCE, TILE_SIDES
 from scenes.store import write_atomically
 
 FLOOR = 0.01
@@ -70,6 +75,13 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
         for index, (mean, error) in enumerate(zip(means, errors, strict=True)):
             _write(folder, f"{kind}-{index}", np.stack([np.asarray(mean, np.float32), _rounded(error)]))
 
+    swept = "sweep_luminance" in dataset and microscope.has_pieces(
+        dataset
+    )  # an earlier version's run has neither
+    if swept:
+        for limit in range(dataset.sizes["limit"]):
+            _write(folder, f"sweep-limit-{limit}", _reference_tiles(dataset.isel(limit=limit)))
+
     terms: dict[str, Any] = {}
     found: dict[tuple[str, str], dict[str, list[np.ndarray]]] = {}
     for cell, (term, variant) in enumerate(
@@ -88,18 +100,24 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
             row = scene.row(term, variant, name) or scene.row(term, variant, "own") or {}
             against[name] = {
                 "key": f"limit-{limit}",
+                "sweep": f"sweep-limit-{limit}" if swept else None,
                 "limit": str(dataset["limit_name"].values[limit]),
                 "mean": mean,
                 "replicates": row.get("reference_replicates"),
                 "flip": _write_flip(folder, cell, limit, ours[cell], references[limit], exposure),
             }
         row = scene.row(term, variant, "own") or {}
+        samples = _write_sweep(folder, dataset.isel(cell=cell), f"sweep-ours-{cell}") if swept else []
         terms.setdefault(term, []).append(
             {
                 "name": variant,
                 "key": f"ours-{cell}",
                 "verdict": row.get("verdict"),
                 "replicates": row.get("replicates"),
+                "samples": samples,
+                "sweep": f"sweep-ours-{cell}",
+                "tiles": _write_tiles(folder, dataset.isel(cell=cell), f"tiles-{cell}"),
+                "merged": {each["side"]: each["merged_into"] for each in row.get("tiles", [])},
                 "against": against,
             }
         )
@@ -116,6 +134,14 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
         "width": ours.shape[2],
         "terms": terms,
         "scales": scales,
+        "sweep_side": microscope.SIDE,
+        "sides": TILE_SIDES,
+        "maps": MAPS,
+        "level": LEVEL,
+        "sure": pictures.SURE,
+        "palest": pictures.PALEST,
+        "greys": pictures.GREYS,
+        "nothing": pictures.NOTHING,
         "floor": FLOOR,
         "deviations": DEVIATIONS,
         "luminance": LUMINANCE,
@@ -157,6 +183,37 @@ def _write_flip(
     flip, _, _ = evaluate(right, its, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False)
     _write(folder, key, _rounded(np.asarray(flip)[..., 0]))
     return key
+
+
+def _write_tiles(folder: Path, cell: Any, key: str) -> str | None:
+    """The key of the tests of a cell's tiles; None where the run has none of it."""
+    names = [f"tile_{name}_{side}" for side in TILE_SIDES for name in MAPS]
+    if not all(name in cell for name in names) or not any(np.isfinite(cell[name]).any() for name in names):
+        return None
+    _write(folder, key, np.concatenate([cell[name].values.ravel() for name in names]))
+    return key
+
+
+def _write_sweep(folder: Path, cell: Any, key: str) -> list[int]:
+    """Write a cell's sweep; its prefixes, none for the total."""
+    samples = [count for count in cell["sweep_samples"].values.tolist() if count]
+    if samples:
+        kept = cell.isel(prefix=slice(len(samples)))
+        pair = kept["sweep_luminance"].values, np.sqrt(kept["sweep_variance"].values)
+        _write(folder, key, _rounded(np.stack(pair, axis=1)))
+    return samples
+
+
+def _reference_tiles(limit: Any) -> np.ndarray:
+    """(2, tiles) luminance of a reference's tiles and its standard error, of their pieces in each replicate."""
+    stack = limit["reference_pieces"].values
+    stack = stack[~np.isnan(stack).all(axis=1)]
+    rows, columns = (limit[f"piece_{axis}"].values // microscope.SIDE for axis in "yx")
+    tile, pixels = rows * (columns.max() + 1) + columns, limit["piece_pixels"].values
+    means = np.array([np.bincount(tile, pixels * each) for each in stack]) / np.bincount(tile, pixels)
+    if len(stack) < 2:
+        return np.stack([means.mean(axis=0), np.full(means.shape[1], np.nan)])
+    return np.stack([means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(len(stack))])
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:

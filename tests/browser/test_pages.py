@@ -22,7 +22,7 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 from scipy import stats
 
-from reports import images, page
+from reports import images, microscope, page
 from reports.page import single
 
 SIZE = 24
@@ -33,6 +33,7 @@ LIMITS = ["ambient", "ambient times 3.14159", "ambient physical", "direct all", 
 AGAINST = {"own": [0, 1, 3, 4], "correct": [0, 0, 3, 4], "physical": [2, 2, -1, 5]}
 SCENES = ["two_cubes", "a room & <more>"]
 SCENE = SCENES[0]
+SIDES = 8, 16, 32
 AXE = resources.files("axe_playwright_python") / "axe.min.js"
 REQUIRED = os.environ.get("TERMWISE_BROWSER") == "required"
 
@@ -88,6 +89,55 @@ def opened(context: BrowserContext, address: str) -> Opened:
     return its
 
 
+def tile_tests(rng: np.random.Generator) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Of the first cell only: noise, one tile far too bright, one surely too dark; the smallest tiles merged."""
+    found = {}
+    for side in SIDES:
+        count = math.ceil(SIZE / side)
+        shape = len(CELLS), count, count
+        p = np.full(shape, np.nan)
+        p[0] = rng.uniform(0.3, 1.0, shape[1:]) if side > 8 else np.nan
+        bias = np.where(np.isnan(p), np.nan, 0.01)
+        if side == 16:
+            p[0, 0] = 1e-9, 0.02
+            p[0, 1, 1] = np.nan
+            bias[0, 0] = 0.25, -0.04
+        holm = np.clip(2 * p, None, 1.0)
+        holm[0, 0, 1:] = np.maximum(holm[0, 0, 1:], 0.06)
+        maps = {"bias": bias, "p": p, "holm": holm, "benjamini_hochberg": np.clip(1.5 * p, None, 1.0)}
+        dims = "cell", f"tile_y_{side}", f"tile_x_{side}"
+        found |= {f"tile_{name}_{side}": (dims, values) for name, values in maps.items()}
+    return found
+
+
+SAMPLES = [(1, 2, 4, 8, 16)] * 2 + [(1, 2, 4, 0, 0)] + [(0,) * 5]
+
+
+def sweeps(rng: np.random.Generator) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Tiles of each cell after its samples; the references' replicates in the same tiles, cut by an object."""
+    objects = np.arange(SIZE) // 12 % 2 - np.ones((SIZE, 1), int)
+    pieces = microscope.pieces(objects)
+    found = len(pieces.pixels)
+    names = "cell", "prefix", "tile_y_8", "tile_x_8"
+    return {
+        "object": (("y", "x"), objects),
+        **{f"piece_{name}": ("piece", getattr(pieces, name)) for name in ("object", "x", "y", "pixels")},
+        "image_pieces": (
+            ("cell", "replicate", "piece"),
+            rng.gamma(9.0, 0.1, (len(CELLS), REPLICATES, found)),
+        ),
+        "reference_pieces": (
+            ("limit", "reference_replicate", "piece"),
+            rng.gamma(9.0, 0.1, (len(LIMITS), REFERENCE_REPLICATES, found)),
+        ),
+        "rendered": (("cell", "y", "x", "channel"), np.full((len(CELLS), SIZE, SIZE, 3), np.nan)),
+        "rendered_replicate": ("cell", np.full(len(CELLS), -1)),
+        "sweep_samples": (names[:2], np.array(SAMPLES)),
+        "sweep_luminance": (names, rng.gamma(9.0, 0.1, (len(CELLS), 5, 3, 3))),
+        "sweep_variance": (names, rng.gamma(9.0, 1e-4, (len(CELLS), 5, 3, 3))),
+    }
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     """The folder of a finished run: `results.json`, `results.nc`, `images/*.exr` and its pages."""
@@ -110,11 +160,14 @@ def run(tmp_path_factory) -> Path:
                     ("limit", *dims),
                     rng.gamma(2, 1e-4, reference.shape).astype(np.float32),
                 ),
-            },
+            }
+            | tile_tests(rng)
+            | sweeps(rng),
             {
                 "cell_term": ("cell", [term for term, _ in CELLS]),
                 "cell_variant": ("cell", [variant for _, variant in CELLS]),
                 "limit_name": ("limit", LIMITS),
+                "object_name": ("objects", ["a wall"]),
                 **{name: ("cell", limits) for name, limits in AGAINST.items()},
             },
             {"exposure": 0.8},
@@ -137,6 +190,14 @@ def run(tmp_path_factory) -> Path:
                 "bias_high": 0.003, "standard_error": 0.001, "detectable_bias": 0.004, "ssim": 0.99,
                 "reference_replicates": REFERENCE_REPLICATES, "reference_samples": 32, "tests": 9,
                 "margin": 0.01, "allowance": 0.0, "reference_seconds": 2.0,
+                "tiles": [
+                    {
+                        "side": side, "tiles": 9, "tested": 4, "holm": 1, "benjamini_hochberg": 2, "fraction": 0.5,
+                        "found": [], "histogram": [0] * 20, "left_out": 1, "uniform_p": None, "skewness": 0.1,
+                        "merged_into": 16 if side == 8 else None,
+                    }
+                    for side in SIDES
+                ],
             }  # fmt: skip
     results = {
         "schema": 1,
@@ -293,6 +354,93 @@ def test_maps_are_blue_where_ours_is_darker_and_red_where_brighter(view, run, ma
     clear = np.abs(apart) > 0.1 * np.quantile(np.abs(apart), 0.99)
     assert clear.sum() > SIZE
     assert np.array_equal(np.sign(redder[clear]), np.sign(apart[clear]))
+
+
+def test_p_map_colours_the_tiles_found_and_outlines_the_surest(view):
+    page = view("#term=ambient&beside=p&pixel=12,3")
+    shown = middles(page, "right")
+    bright, dark = shown[3, 12], shown[3, 20]
+    assert bright[0] > bright[2] + 60  # red, 16 px wide
+    assert dark[2] > dark[0] + 20
+    assert np.ptp(bright) > np.ptp(dark)  # the surer, the fuller
+    grey, nothing = shown[20, 3], shown[20, 20]
+    assert np.ptp(grey) == np.ptp(nothing) == 0
+    assert nothing[0] < grey[0]
+    rim = np.zeros((SIZE, SIZE), bool)
+    rim[[0, 15], :16] = rim[:16, [0, 15]] = True
+    assert np.array_equal((shown == 0).all(axis=-1), rim)
+    said = page.locator("#tile").inner_text()
+    assert said.startswith("Tile x 0–15, y 0–15: bias of luminance +25 %; p 1e−9;")
+    assert "Holm 2e−9 (found), by Benjamini-Hochberg 1.5e−9 (found)" in said
+    page.locator("#left").focus()
+    for _ in range(4):
+        page.keyboard.press("ArrowRight")
+    ready(page)
+    said = page.locator("#tile").inner_text()
+    assert said.startswith("Tile x 16–23, y 0–15: bias of luminance −4 %; p 0.02;")
+    assert "Holm 0.06 (not found), by Benjamini-Hochberg 0.03 (found)" in said
+
+
+def test_p_map_has_three_sizes_and_says_where_there_is_none(view):
+    page = view("#term=ambient&beside=p&pixel=3,20")
+    caption = page.locator("#right + figcaption")
+    page.get_by_role("combobox", name="Tiles").select_option("8 px")
+    ready(page)
+    assert "merged into the tiles of 16 px" in caption.inner_text()
+    page.locator("h1").click()
+    page.keyboard.press("w")
+    page.keyboard.press("w")
+    ready(page)
+    assert "side=32" in page.url
+    assert "Tile x 0–23, y 0–23" in page.locator("#tile").inner_text()
+    page.keyboard.press("p")
+    ready(page)
+    assert "own limit alone" in caption.inner_text()
+    assert (
+        "this row has no p-map" in view("#term=direct&beside=p").locator("#right + figcaption").inner_text()
+    )
+
+
+@pytest.mark.parametrize("cell", [1, 2])
+def test_inspector_shows_the_convergence_of_the_tile(view, run, cell):
+    term, variant = CELLS[cell]
+    page = view(f"#term={term}&variant={variant}&pixel=10,17")
+    with xarray.open_dataset(run / "results.nc", group=SCENE, engine="h5netcdf") as data:
+        ours = data["sweep_luminance"].values[cell, :, 2, 1]
+        errors = np.sqrt(data["sweep_variance"].values[cell, :, 2, 1])
+        within = (data["piece_x"].values == 8) & (data["piece_y"].values == 16)
+        stack = data["reference_pieces"].values[AGAINST["own"][cell]][:, within]
+        right = np.average(stack, axis=1, weights=data["piece_pixels"].values[within])
+    assert within.sum() == 2
+    samples = [count for count in SAMPLES[cell] if count]
+    svg = page.locator("#convergence svg")
+    said = svg.get_attribute("aria-label")
+    shown = [(float(value), int(n)) for value, n in re.findall(r"([\d.]+) after (\d+)", said)]
+    assert [n for _, n in shown] == samples
+    # Kept to 11 bits.
+    assert [value for value, _ in shown] == pytest.approx(ours[: len(samples)], rel=1e-3)
+    assert float(said.rpartition("reference ")[2]) == pytest.approx(right.mean(), rel=1e-3)
+
+    def of(name, *attributes):
+        return np.array(
+            [[float(each.get_attribute(a)) for a in attributes] for each in svg.locator(name).all()]
+        )
+
+    points, ((middle,),) = of("circle", "cx", "cy"), of("line", "y1")
+    assert np.ptp(np.diff(points[:, 0])) < 1e-6  # a logarithmic axis
+    # All heights are of one scale: that of the points' values.
+    scale, zero = np.polyfit(ours[: len(samples)], points[:, 1], 1)
+    assert scale < 0
+    assert middle == pytest.approx(scale * right.mean() + zero, abs=1.0)
+    ((top, height),) = of("rect", "y", "height")
+    half = stats.t.ppf(0.95, len(right) - 1) * stats.sem(right)
+    assert (top, height) == pytest.approx((scale * (right.mean() + half) + zero, -2 * scale * half), abs=1.0)
+    band = svg.locator("polygon").get_attribute("points")
+    edge = np.array([float(pair.split(",")[1]) for pair in band.split(" ")])
+    half = stats.t.ppf(0.95, REPLICATES - 1) * errors[: len(samples)]
+    assert edge[: len(samples)] == pytest.approx(scale * (ours[: len(samples)] + half) + zero, abs=1.0)
+    assert "x 8–15, y 16–23" in page.locator("#convergence figcaption").inner_text()
+    assert "the sum is measured" in view("#term=total&pixel=1,1").locator("#convergence").inner_text()
 
 
 def test_flip_map_is_black_where_nothing_differs_and_bright_where_all_does(view):

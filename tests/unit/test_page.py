@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 import xarray
 from PIL import Image
+from scipy import stats
 
+from renderer.scratch import COUNTERS
 from renderer.terms import VARIANTS
-from reports import page
+from reports import cells, images, page
 from reports.page import charts, digits, method, pictures
+from scenes.limits import Limit
 
 VERDICTS = ["EQUIVALENT", "BIASED", "AS PREDICTED", "NOT AS PREDICTED", "UNDERPOWERED", "ABSENT", None]
 SIZE = 48
@@ -648,3 +651,27 @@ def test_waterfall_stands_one_part_upon_the_other():
     assert bars["base"] == [0.0, 4.0, 3.0, 3.5, 0.0]
     np.testing.assert_allclose(bars["error_y"]["array"], 0.2)
     np.testing.assert_allclose(bars["error_y"]["arrayminus"], 0.1)
+
+
+def test_a_sweep_is_of_tiles_of_8_pixels_and_smaller_ones_at_the_border():
+    stack = np.random.default_rng(3).random((5, 2, 12, 19, 3)).astype(np.float32)
+    cell = cells.Cell(
+        VARIANTS["ambient"]["cosine"],
+        Limit("ambient"),
+        (1, 2),
+        stack,
+        (),
+        np.ones((5, 2)),
+        dict.fromkeys(COUNTERS, 0),
+        (),
+        0.0,
+        "",
+    )
+    swept = images.sweep(cell)
+    assert swept.samples == (1, 2)
+    assert swept.mean.shape == swept.variance.shape == (2, 2, 3)
+    for row, column in np.ndindex(2, 3):
+        tile = stack[:, :, 8 * row : 8 * row + 8, 8 * column : 8 * column + 8].astype(float)
+        means = (tile * [0.2126, 0.7152, 0.0722]).sum(axis=-1).mean(axis=(2, 3))
+        assert swept.mean[:, row, column] == pytest.approx(means.mean(axis=0), rel=1e-12)
+        assert np.sqrt(swept.variance[:, row, column]) == pytest.approx(stats.sem(means), rel=1e-12)

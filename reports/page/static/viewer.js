@@ -6,9 +6,9 @@ const viewed = JSON.parse(document.getElementById("viewed").textContent);
 const find = (id) => document.getElementById(id);
 const { width, height } = viewed;
 const AGAINST = { own: "own limit", correct: "correct", physical: "physical" };
-const MAPS = { reference: "reference", signed: "signed error", relative: "relative error", deviations: "deviations", flip: "FLIP" };
+const MAPS = { reference: "reference", signed: "signed error", relative: "relative error", deviations: "deviations", p: "p-map", flip: "FLIP" };
 const START = {
-  term: "total" in viewed.terms ? "total" : Object.keys(viewed.terms)[0], variant: null, shown: "ours", against: "own", beside: "signed",
+  term: "total" in viewed.terms ? "total" : Object.keys(viewed.terms)[0], variant: null, shown: "ours", against: "own", beside: "signed", side: 16,
   ev: 0, curve: "srgb", gamma: 2.2, split: false, at: 0.5, zoom: 1, x: width / 2, y: height / 2, pixel: null,
 };
 let state = { ...START };
@@ -96,6 +96,53 @@ function deviation(ours, reference, index) {
   return difference === 0 ? 0 : difference / error;
 }
 
+// Tests of tiles, which only the own limit has
+const tested = () => variant().tiles && pair()?.key === variant().against.own?.key;
+
+// The tests of one size: of each map of reports.tiles its values, row by row
+function tiles() {
+  const values = loaded.get(variant().tiles);
+  const found = { columns: Math.ceil(width / state.side) };
+  let start = 0;
+  for (const side of viewed.sides) {
+    const count = Math.ceil(width / side) * Math.ceil(height / side);
+    for (const name of viewed.maps) {
+      if (side === state.side) found[name] = values.subarray(start, start + count);
+      start += count;
+    }
+  }
+  return found;
+}
+
+const signedColour = (share) => viewed.diverging[Math.round(((share + 1) / 2) * (viewed.diverging.length - 1))];
+
+// Colour of an adjusted p of a tile that is found: the surer, the fuller
+function foundColour(p, sign) {
+  const surely = Math.log(Math.max(p, viewed.sure) / viewed.level) / Math.log(viewed.sure / viewed.level);
+  return signedColour(sign * (viewed.palest + (1 - viewed.palest) * surely));
+}
+
+const greyOf = (p) => Array(3).fill(viewed.greys[0] + (viewed.greys[1] - viewed.greys[0]) * p);
+
+function pMap() {
+  const found = tiles();
+  const image = new ImageData(width, height);
+  const { side } = state;
+  for (let pixel = 0; pixel < width * height; pixel++) {
+    const [x, y] = [pixel % width, Math.floor(pixel / width)];
+    const tile = Math.floor(y / side) * found.columns + Math.floor(x / side);
+    const adjusted = found.benjamini_hochberg[tile];
+    const rim = x % side === 0 || y % side === 0 || (x + 1) % side === 0 || (y + 1) % side === 0 || x === width - 1 || y === height - 1;
+    let colour = Array(3).fill(viewed.nothing);
+    if (found.holm[tile] <= viewed.level && rim) colour = [0, 0, 0];
+    else if (adjusted <= viewed.level) colour = foundColour(adjusted, Math.sign(found.bias[tile]));
+    else if (Number.isFinite(found.p[tile])) colour = greyOf(found.p[tile]);
+    image.data.set(colour, 4 * pixel);
+    image.data[4 * pixel + 3] = 255;
+  }
+  return image;
+}
+
 function scaleOf(map) {
   if (map === "flip") return 1;
   if (map === "deviations") return viewed.deviations;
@@ -119,6 +166,8 @@ function map() {
         const found = [0, 1, 2].map((channel) => deviation(ours, reference, 3 * pixel + channel));
         return found.reduce((a, b) => (Math.abs(b) > Math.abs(a) || Number.isNaN(b) ? b : a));
       }, viewed.diverging, -end, end);
+    case "p":
+      return tested() ? pMap() : new ImageData(width, height);
     case "flip": {
       const flip = loaded.get(pair().flip);
       return coloured((pixel) => (flip ? flip[pixel] : NaN), viewed.sequential, 0, 1);
@@ -210,6 +259,8 @@ function inspect() {
     const [a, b] = [luminance(ours, place), luminance(reference, place)];
     rows.push(["luminance", number(a), number(b), number(a - b), "–", "–"]);
   }
+  converge(pixel);
+  find("tile").textContent = pixel && state.beside === "p" ? tileWords(pixel) : "";
   table.tBodies[0].replaceChildren(...rows.map(([first, ...rest]) => {
     const row = document.createElement("tr");
     const head = document.createElement("th");
@@ -221,7 +272,89 @@ function inspect() {
   }));
 }
 
+function tileWords([x, y]) {
+  if (!tested()) return untested();
+  const { side } = state;
+  const found = tiles();
+  const [column, row] = [Math.floor(x / side), Math.floor(y / side)];
+  const at = row * found.columns + column;
+  const place = `Tile x ${side * column}–${Math.min(side * (column + 1), width) - 1}, y ${side * row}–${Math.min(side * (row + 1), height) - 1}`;
+  if (!Number.isFinite(found.p[at])) return `${place}: ${untested() || "nothing on either side"}`;
+  const short = (p) => (p < 1e-30 ? "< 1e−30" : number(Number(p.toPrecision(2))));
+  const decided = (p) => `${short(p)} (${p <= viewed.level ? "found" : "not found"})`;
+  return `${place}: bias of luminance ${percent(found.bias[at], true)}; p ${short(found.p[at])}; adjusted by Holm ${decided(found.holm[at])}, by Benjamini-Hochberg ${decided(found.benjamini_hochberg[at])}`;
+}
+
+// Why no tile of this size is tested here; empty if some is
+function untested() {
+  if (!variant().tiles) return "this row has no p-map: it is not judged, or has no light";
+  if (!tested()) return "p-maps test against the own limit alone";
+  const into = variant().merged[state.side];
+  return into ? `too skewed for the test, merged into the tiles of ${into} px` : "";
+}
+
+// Luminance of the pixel's tile after 1, 2, 4, ... samples, with 90 % intervals, beside the reference's
+const SVG = { width: 460, height: 190, left: 62, right: 12, top: 10, bottom: 38 };
+
+function element(name, attributes, text) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+function converge(pixel) {
+  const figure = find("convergence");
+  const { samples } = variant();
+  figure.hidden = !pixel || !pair();
+  if (figure.hidden) return;
+  const svg = figure.querySelector("svg");
+  const words = figure.querySelector("figcaption");
+  svg.replaceChildren();
+  svg.toggleAttribute("hidden", !samples.length);
+  if (!samples.length) {
+    words.textContent = state.term === "total" ? "No convergence: the sum is measured at its last sample count alone" : "No convergence: this run does not hold it";
+    return;
+  }
+  const side = viewed.sweep_side;
+  const [column, row] = [Math.floor(pixel[0] / side), Math.floor(pixel[1] / side)];
+  const tilesX = Math.ceil(width / side);
+  const count = tilesX * Math.ceil(height / side);
+  const at = row * tilesX + column;
+  const estimate = (values, index, replicates) => {
+    const half = replicates > 1 ? viewed.quantiles[Math.min(replicates - 1, viewed.quantiles.length) - 1] * values[(2 * index + 1) * count + at] : NaN;
+    const mean = values[2 * index * count + at];
+    return { mean, low: mean - half, high: mean + half };
+  };
+  const ours = samples.map((_, index) => estimate(loaded.get(variant().sweep), index, variant().replicates));
+  const right = estimate(loaded.get(pair().sweep), 0, pair().replicates);
+  const shown = [...ours, right].flatMap(Object.values).filter(Number.isFinite);
+  let [low, high] = [Math.min(...shown), Math.max(...shown)];
+  if (!(high > low)) [low, high] = [low - (Math.abs(low) || 1) * 0.01, high + (Math.abs(high) || 1) * 0.01];
+  const last = Math.log2(samples.at(-1)) || 1;
+  const x = (n) => SVG.left + ((SVG.width - SVG.left - SVG.right) * Math.log2(n)) / last;
+  const y = (value) => SVG.top + ((SVG.height - SVG.top - SVG.bottom) * (high - value)) / (high - low);
+  const whole = (each) => Number.isFinite(each.low);
+  if (whole(right)) svg.append(element("rect", { class: "reference", x: SVG.left, width: SVG.width - SVG.left - SVG.right, y: y(right.high), height: Math.max(y(right.low) - y(right.high), 1) }));
+  const valid = samples.map((n, index) => ({ n, ...ours[index] })).filter((each) => Number.isFinite(each.mean));
+  if (valid.length && valid.every(whole)) {
+    const edge = [...valid.map((each) => [x(each.n), y(each.high)]), ...valid.map((each) => [x(each.n), y(each.low)]).reverse()];
+    svg.append(element("polygon", { class: "ours", points: edge.map(String).join(" ") }));
+  }
+  if (Number.isFinite(right.mean)) svg.append(element("line", { class: "reference", x1: SVG.left, x2: SVG.width - SVG.right, y1: y(right.mean), y2: y(right.mean) }));
+  svg.append(element("polyline", { class: "ours", points: valid.map((each) => `${x(each.n)},${y(each.mean)}`).join(" ") }));
+  for (const each of valid) svg.append(element("circle", { class: "ours", cx: x(each.n), cy: y(each.mean), r: 3 }));
+  for (const n of samples) svg.append(element("text", { x: x(n), y: SVG.height - SVG.bottom + 16, "text-anchor": "middle" }, n));
+  const digits = Math.min(Math.max(2, Math.ceil(1 - Math.log10((high - low) / Math.max(Math.abs(high), Math.abs(low)))) + 1), 7);
+  for (const value of [low, (low + high) / 2, high]) svg.append(element("text", { x: SVG.left - 8, y: y(value) + 4, "text-anchor": "end" }, number(Number(value.toPrecision(digits)))));
+  svg.append(element("text", { x: (SVG.left + SVG.width - SVG.right) / 2, y: SVG.height - 4, "text-anchor": "middle" }, "samples per pixel and replicate"));
+  svg.setAttribute("aria-label", `Luminance of the tile: ${samples.map((n, index) => `${number(ours[index].mean)} after ${n}`).join(", ")}; reference ${number(right.mean)}`);
+  const range = (from, size) => `${from}–${Math.min(from + side, size) - 1}`;
+  words.textContent = `Luminance of the tile around the pixel, x ${range(side * column, width)}, y ${range(side * row, height)}: mean of ${variant().replicates} replicates; dashed the reference. Bands: 90 % intervals`;
+}
+
 // Words
+const percent = (value, signed) => `${signed && value > 0 ? "+" : ""}${number(Number((100 * value).toPrecision(2)))} %`;
 const name = (what) => (what === "ours" ? `ours, ${state.term === "total" ? "sum of the terms" : variant().name}` : `${AGAINST[what]} (${pair()?.limit})`);
 
 function caption(canvas, text, map) {
@@ -229,14 +362,16 @@ function caption(canvas, text, map) {
   canvas.setAttribute("aria-label", `${viewed.scene}, ${state.term}: ${text}`);
   place.replaceChildren();
   if (map) {
-    const end = scaleOf(map);
-    const colours = map === "flip" ? viewed.sequential : viewed.diverging;
+    const end = map === "p" ? null : scaleOf(map);
+    const colours = map === "flip" ? viewed.sequential : map === "p" ? pColours() : viewed.diverging;
     const bar = document.createElement("span");
     bar.className = "scale";
     const [low, gradient, high] = [0, 1, 2].map(() => document.createElement("span"));
-    const percent = (value) => `${number(Number((100 * value).toPrecision(2)))} %`;
-    low.textContent = map === "flip" ? "0" : map === "deviations" ? `−${end}` : percent(-end);
-    high.textContent = map === "flip" ? "1" : map === "deviations" ? `+${end}` : `+${percent(end)}`;
+    [low.textContent, high.textContent] = {
+      flip: () => ["0", "1"],
+      deviations: () => [`−${end}`, `+${end}`],
+      p: () => ["too dark, p 10⁻⁶", "too bright, p 10⁻⁶"],
+    }[map]?.() ?? [percent(-end), percent(end, true)];
     gradient.className = "gradient";
     const stops = colours.filter((_, index) => index % 15 === 0 || index === colours.length - 1);
     gradient.style.background = `linear-gradient(to right, ${stops.map((rgb) => `rgb(${rgb.join(" ")})`).join(", ")})`;
@@ -246,10 +381,19 @@ function caption(canvas, text, map) {
   place.append(text);
 }
 
+// The scale of a p-map: found too dark, not found (p from 0 to 1 and back), found too bright
+function pColours() {
+  const steps = Array.from({ length: 61 }, (_, index) => index / 60);
+  const found = (sign) => steps.map((step) => foundColour(viewed.sure ** (1 - step) * viewed.level ** step, sign));
+  const not = steps.map((step) => greyOf(1 - Math.abs(2 * step - 1)));
+  return [...found(-1), ...not, ...found(1).reverse()];
+}
+
 const EXPLAINED = {
   signed: "Ours − reference, luminance, of the reference’s mean",
   relative: "Ours − reference, luminance, of the reference’s pixel",
   deviations: "Ours − reference over its standard error, of the channel where it is greatest",
+  p: "Tiles with a bias of luminance: coloured as found by Benjamini-Hochberg (adjusted p ≤ 0.05), outlined as found by Holm; light grey not found, dark grey nothing on either side",
   flip: "FLIP, as displayed at the scene’s exposure",
 };
 
@@ -291,6 +435,8 @@ function controls() {
   sync("against", has.map((each) => [each, AGAINST[each]]), state.against, (value) => change({ against: value, ...(state.shown === "ours" ? {} : { shown: value }) }));
   sync("beside", Object.entries(MAPS), state.beside, (value) => change({ beside: value }));
   find("term").value = state.term;
+  find("side").value = state.side;
+  find("side").disabled = state.beside !== "p";
   find("curve").value = state.curve;
   find("split").checked = state.split;
   for (const id of ["ev", "gamma", "at"]) find(id).value = state[id];
@@ -313,6 +459,7 @@ function valid(wanted) {
   if (!(next.against in its.against)) next.against = Object.keys(its.against)[0] ?? "own";
   if (next.shown !== "ours") next.shown = next.against;
   if (!(next.beside in MAPS)) next.beside = START.beside;
+  if (!viewed.sides.includes(next.side)) next.side = START.side;
   if (next.curve !== "gamma") next.curve = "srgb";
   const within = (value, low, high, otherwise) => (Number.isFinite(value) ? Math.min(Math.max(value, low), high) : otherwise);
   next.ev = within(next.ev, -8, 8, START.ev);
@@ -339,7 +486,7 @@ function change(wanted) {
 
 function restore() {
   const read = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
-  for (const key of ["ev", "gamma", "at", "zoom", "x", "y"]) if (key in read) read[key] = parseFloat(read[key]);
+  for (const key of ["side", "ev", "gamma", "at", "zoom", "x", "y"]) if (key in read) read[key] = parseFloat(read[key]);
   if ("split" in read) read.split = read.split === "true";
   if ("pixel" in read) read.pixel = read.pixel.split(",").map(Number);
   const known = Object.fromEntries(Object.entries(read).filter(([key]) => key in START));
@@ -352,7 +499,8 @@ async function draw() {
   const turn = ++latest;
   controls();
   root.dataset.state = "loading";
-  const needed = [variant().key, pair()?.key, state.beside === "flip" ? pair()?.flip : null].filter(Boolean);
+  const swept = variant().samples.length ? [variant().sweep, pair()?.sweep] : [];
+  const needed = [variant().key, pair()?.key, ...swept, state.beside === "flip" ? pair()?.flip : null, state.beside === "p" && tested() ? variant().tiles : null].filter(Boolean);
   try {
     await Promise.all(needed.map(load));
   } catch (error) {
@@ -379,6 +527,7 @@ async function draw() {
   surfaces = [order.slice(0, count).map((make) => make()), [surface(map())]];
   caption(find("left"), state.split ? `Left ${words[0]}; right ${words[1]}` : words[0]);
   if (state.beside === "reference") caption(find("right"), name(state.against));
+  else if (state.beside === "p") caption(find("right"), untested() ? `No p-map: ${untested()}` : EXPLAINED.p, untested() ? null : "p");
   else caption(find("right"), pair().flip || state.beside !== "flip" ? EXPLAINED[state.beside] : "FLIP knows nothing of invalid pixels", state.beside);
   repaint();
   root.dataset.state = "ready";
@@ -444,6 +593,7 @@ const act = {
   f: flip,
   t: () => change({ term: after(Object.keys(viewed.terms), state.term) }),
   m: () => change({ beside: after(Object.keys(MAPS), state.beside) }),
+  w: () => change({ beside: "p", side: after(viewed.sides, state.side) }),
   e: () => change({ ev: state.ev + 0.5 }),
   E: () => change({ ev: state.ev - 0.5 }),
   g: () => change({ curve: "gamma", gamma: state.gamma + 0.1 }),
@@ -479,6 +629,8 @@ document.addEventListener("keydown", (event) => {
 
 for (const term of Object.keys(viewed.terms)) find("term").add(new Option(term, term));
 find("term").addEventListener("change", (event) => change({ term: event.target.value }));
+for (const side of viewed.sides) find("side").add(new Option(`${side} px`, side));
+find("side").addEventListener("change", (event) => change({ side: Number(event.target.value) }));
 find("curve").addEventListener("change", (event) => change({ curve: event.target.value }));
 find("split").addEventListener("change", (event) => change({ split: event.target.checked }));
 for (const id of ["ev", "gamma", "at"]) find(id).addEventListener("input", (event) => change({ [id]: event.target.valueAsNumber }));
