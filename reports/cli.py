@@ -171,7 +171,7 @@ def render(
     scene: str,
     *,
     term: str | None = None,
-    variant: str | None = None,
+    variant: list[str] | None = None,
     samples: Integer = 16,
     replicates: Integer = 1,
     seed: Integer = 0,
@@ -190,7 +190,7 @@ def render(
     term
         ambient, direct, specular or background; without it all four and their sum.
     variant
-        An estimator of the term; its default if not given.
+        An estimator of the term, its default if not given. Without --term: TERM=NAME, once for each term.
     samples
         Samples per pixel and replicate; powers of two are best.
     replicates
@@ -215,18 +215,17 @@ def render(
     _check_seed(seed)
     folder = _folder(out / "render")
     terms = TERMS if term is None else (term,)
-    if term is None and variant is not None:
-        raise ValueError(f"variant = {variant!r}: allowed is a variant of one term; give --term too")
+    variants = _variants(terms, variant or []) if term is None else _variant(term, variant or [])
     found = renderer.render_terms(
         described,
-        dict.fromkeys(terms, variant),
+        variants,
         samples=samples,
         replicates=replicates,
         seed=seed,
         threads=threads,
         adaptive=adaptive,
     )
-    settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": variant or "default"}
+    settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": " ".join(variant or ["default"])}
     return _write_images(described, found, folder, settings | {"adaptive": adaptive}, json_)
 
 
@@ -743,6 +742,26 @@ def _scene(name: str, resolution: tuple[int, int] | None) -> Any:
 def _check_seed(seed: int) -> None:
     if not 0 <= seed < 2**31:
         raise ValueError(f"seed = {seed}: allowed is an integer in [0, {2**31 - 1}]")
+
+
+def _variant(term: str, given: list[str]) -> dict[str, str | None]:
+    """The estimator of one term."""
+    if len(given) > 1:
+        raise ValueError(f"variant = {', '.join(given)}: allowed is one with term = {term!r}")
+    return {term: given[0] if given else None}
+
+
+def _variants(terms: tuple[str, ...], given: list[str]) -> dict[str, str | None]:
+    """The estimator of each term, from words TERM=NAME."""
+    chosen: dict[str, str | None] = dict.fromkeys(terms)
+    for word in given:
+        term, equals, name = word.partition("=")
+        if not equals or term not in terms:
+            raise ValueError(
+                f"variant = {word!r}: allowed is TERM=NAME, or NAME with --term; terms are {', '.join(terms)}"
+            )
+        chosen[term] = name
+    return chosen
 
 
 def _folder(path: Path) -> Path:
