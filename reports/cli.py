@@ -1,4 +1,4 @@
-"""The command `termwise`: compare, judge, render, reference, plan, scenes, bench.
+"""The command `termwise`: compare, judge, render, reference, plan, scenes, view, bench.
 
 Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`); 2: bad input, or a run that
 could not end. With --json one object goes to standard output, all else to standard error.
@@ -225,7 +225,12 @@ def render(
         threads=threads,
         adaptive=adaptive,
     )
-    settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": " ".join(variant or ["default"])}
+    settings = {
+        "samples": samples,
+        "replicates": replicates,
+        "seed": seed,
+        "variant": " ".join(variant or ["default"]),
+    }
     return _write_images(described, found, folder, settings | {"adaptive": adaptive}, json_)
 
 
@@ -382,6 +387,36 @@ def scenes(*, json_: Annotated[Json, Parameter(name="--json")] = False) -> int:
         values = (row["objects"], row["triangles"], row["lights"], row["scope"], row["max_bounces"])
         table.add_row(row["name"], *map(str, values))
     _output.print(table)
+    return 0
+
+
+@app.command
+def view(
+    scene: str = "two_cubes",
+    *,
+    port: Annotated[int | None, _whole] = None,
+    browser: bool = True,
+    out: Path = Path("out"),
+) -> int:
+    """Open a local page on which every input is set and each term is watched while it converges.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    port
+        Of 127.0.0.1; a free one if not given.
+    browser
+        Open it in a browser.
+    out
+        What is saved goes to OUT/view, nothing elsewhere.
+    """
+    from reports.view.page import serve
+
+    def announce(address: str) -> None:
+        _output.print(f"termwise view: {address} (Ctrl-C ends it)", highlight=False)
+
+    serve(scene, out / "view", port=port, browser=browser, announce=announce)
     return 0
 
 
