@@ -38,6 +38,7 @@ DRAWN_S = 0.1
 _GONE_S = 3.0  # a tab that is away for longer is closed
 
 _STYLE = """
+body { --q-primary: #0b5394 !important } .body--dark { --q-primary: #8dbff2 !important }
 .q-field__messages { line-height: 1.3 }
 .picture { image-rendering: pixelated; width: 100%; display: block; background: #8883 }
 .picture-frame:focus-visible { outline: 3px solid #5a9bd8; outline-offset: 2px }
@@ -188,12 +189,15 @@ class Page:
             with ui.column().classes("grow min-w-0 gap-3"):
                 with ui.row().classes("items-center gap-4"):
                     ui.toggle(
-                        {"sum": "sum", "terms": "terms side by side"}, value="sum", on_change=self._arrange
+                        {"sum": "sum", "terms": "terms side by side"},
+                        value="sum",
+                        on_change=lambda e: self._arrange(e.value),
                     ).props("no-caps dense")
                     self._number(Input(("scene", "exposure"), "exposure", "", "factor"))
                 self.status = ui.label().props("role=status aria-live=polite")
-                self.gallery = ui.element("div").classes("w-full")
-                self.terms = ui.html(sanitize=False).classes("w-full")
+                with ui.row().classes("w-full items-start gap-6"):
+                    self.gallery = ui.element("div").classes("grow")
+                    self.terms = ui.html(sanitize=False)
                 ui.label(
                     "Drag turns the camera, Shift and drag shifts it, the wheel comes nearer; on the picture: arrow "
                     "keys, with Shift, + and -."
@@ -203,7 +207,7 @@ class Page:
                 ui.label("Plan").classes("text-lg").props("role=heading aria-level=2")
                 self.plan = ui.html(sanitize=False).classes("w-full overflow-x-auto")
         self._list_inputs()
-        self._arrange()
+        self._arrange("sum")
 
     def _list_inputs(self) -> None:
         ui = self.ui
@@ -244,21 +248,23 @@ class Page:
             fields.append(slider.props(f'dense aria-label="{each.name}"'))
         self._fields[each.path] = fields
 
-    def _arrange(self, event: Any = None) -> None:
+    def _arrange(self, shown: str) -> None:
         """One picture, or one of each term."""
         ui = self.ui
-        self.shown = event.value if event else self.shown
+        self.shown = shown
         names = [TOTAL] if self.shown == "sum" else list(TERMS)
         self.gallery.clear()
         self._pictures.clear()
         columns = 1 if self.shown == "sum" else 2
+        width = "28rem" if columns == 1 else "40rem"
+        self.gallery.style(f"max-width: {width}; min-width: 20rem")
         with self.gallery.style(
             f"display: grid; gap: .8rem; grid-template-columns: repeat({columns}, minmax(0, 1fr))"
         ):
             for name in names:
                 with ui.element("figure").classes("m-0"):
                     frame = ui.element("div").classes("picture-frame").props("tabindex=0")
-                    frame.style("cursor: grab; max-width: 40rem")
+                    frame.style("cursor: grab; touch-action: none")
                     self._camera_events(frame)
                     with frame:
                         picture = ui.element("img").classes("picture").props("draggable=false")
