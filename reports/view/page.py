@@ -16,6 +16,7 @@ from typing import Any
 
 import attrs
 import numpy as np
+from markupsafe import escape
 from PIL import Image
 
 from renderer.plan import plan
@@ -193,7 +194,7 @@ class Page:
                         value="sum",
                         on_change=lambda e: self._arrange(e.value),
                     ).props("no-caps dense")
-                    self._number(Input(("scene", "exposure"), "exposure", "", "factor"))
+                    self._number(Input(("scene", "exposure"), "exposure", "", "factor"), "Picture")
                 self.status = ui.label().props("role=status aria-live=polite")
                 with ui.row().classes("w-full items-start gap-6"):
                     self.gallery = ui.element("div").classes("grow")
@@ -219,33 +220,35 @@ class Page:
             for number, (heading, inputs) in enumerate(groups(self.history.state)):
                 with ui.expansion(heading, value=number == 0).classes("w-full").props("dense"):
                     for each in inputs:
-                        self._input(each)
+                        self._input(each, heading)
 
-    def _input(self, each: Input) -> None:
+    def _input(self, each: Input, heading: str) -> None:
         ui, value = self.ui, states.get(self.history.state, each.path)
+        spoken = escape(f"{heading}: {each.name}")
 
         def changed(event: Any) -> None:
             self._change(each, event.value)
 
         if each.choices:
             field = ui.select(list(each.choices), value=value, label=each.name, on_change=changed)
-            self._fields[each.path] = [field.props("dense").classes("w-full")]
+            self._fields[each.path] = [field.props(f'dense aria-label="{spoken}"').classes("w-full")]
         elif isinstance(value, bool):
             self._fields[each.path] = [ui.switch(each.name, value=value, on_change=changed)]
         else:
-            self._number(each)
+            self._number(each, heading)
 
-    def _number(self, each: Input) -> None:
+    def _number(self, each: Input, heading: str) -> None:
         ui, value = self.ui, states.get(self.history.state, each.path)
 
         def changed(event: Any) -> None:
             self._change(each, event.value)
 
         field = ui.number(each.name, value=value, step=each.step, on_change=changed)
-        fields = [field.props("dense debounce=200").classes("w-full")]
+        spoken = escape(f"{heading}: {each.name}")
+        fields = [field.props(f'dense debounce=200 aria-label="{spoken}"').classes("w-full")]
         if each.high is not None:
             slider = ui.slider(min=each.low, max=each.high, step=each.step, value=value, on_change=changed)
-            fields.append(slider.props(f'dense aria-label="{each.name}"'))
+            fields.append(slider.props(f'dense aria-label="{spoken}, slider"'))
         self._fields[each.path] = fields
 
     def _arrange(self, shown: str) -> None:
@@ -566,8 +569,6 @@ def _status(frame: Frame) -> str:
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]], caption: str) -> str:
-    from markupsafe import escape
-
     def line(tag: str, cells: tuple[str, ...]) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 

@@ -116,7 +116,7 @@ def shown(scene: Scene, samples: int = 256, **variants: str) -> dict[str, np.nda
 
 def enter(page, heading: str, label: str, value: str):
     """Type a value into the input of that label, opening its group first."""
-    field = page.get_by_label(label, exact=True).first
+    field = page.get_by_label(f"{heading}: {label}", exact=True)
     if not field.is_visible():
         page.get_by_text(heading, exact=True).click()
     field.fill(value)
@@ -157,7 +157,7 @@ def test_an_input_renders_what_it_touches(page, small):
 
 
 def test_a_variant_and_the_camera_too(page, small):
-    page.get_by_label("ambient", exact=True).first.click()
+    page.get_by_label("Estimators: ambient", exact=True).click()
     page.get_by_role("option", name="paper", exact=True).click()
     page.wait_for_function("document.querySelector('table[aria-label=Terms]').innerText.includes('paper')")
     settled(page)
@@ -201,7 +201,7 @@ def test_undo_redo_by_keyboard(page):
 
 
 def test_the_camera_turns_by_arrow_keys_and_mouse(page):
-    field = page.get_by_label("position x (scene units)")
+    field = page.get_by_label("Camera: position x (scene units)")
     page.get_by_text("Camera", exact=True).click()
     values = [field.input_value()]
     page.locator(".picture-frame").focus()
