@@ -713,10 +713,79 @@ def economies(
     return 1 if failed else 0
 
 
+@bench.command(name="view")
+def bench_view(
+    *,
+    scene: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    changes: Integer = 30,
+    resolution: Integer = 256,
+    threads: Annotated[int | None, _whole] = None,
+    out: Path = Path("out"),
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Measure how long a changed input takes to be seen on the page of `termwise view`.
+
+    Parameters
+    ----------
+    scene
+        two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
+    changes
+        Of each input; their median counts.
+    resolution
+        Pixels of a side of the square image.
+    threads
+        Threads; one per core if not given.
+    out
+        The numbers go to OUT/bench/view.json.
+    json_
+        Print them on standard output.
+    """
+    from reports.bench import view as of_view
+
+    measured = _measured(
+        out / "bench",
+        "view",
+        lambda report: of_view.measure(
+            scenes=tuple(scene or ()),
+            changes=changes,
+            resolution=resolution,
+            threads=threads,
+            report=report,
+        ),
+        charted=False,
+    )
+    if json_:
+        print(json.dumps(measured))
+        return 0
+    columns = ("scene", "input", "seconds", "spread", "previews")
+    table = Table(*columns, box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for case in measured["cases"]:
+        table.add_row(
+            case["scene"],
+            case["input"],
+            f"{case['seconds']:.3f}",
+            f"{case['seconds_low']:.3f}-{case['seconds_high']:.3f}",
+            f"{case['previews']} of {case['changes']}",
+        )
+    _output.print(table)
+    before, after = measured["memory_mb"]
+    _output.print(
+        f"From a change to the first picture, {resolution} x {resolution} pixels; a preview has a quarter of them. "
+        f"Memory {before:.0f} MB after the first change, {after:.0f} MB after the last.",
+        soft_wrap=True,
+    )
+    _print_machine(measured["machine"])
+    return 0
+
+
 def _measured(
-    folder: Path, name: str, measure: Callable[[Callable[[str, int, int], None]], dict[str, Any]]
+    folder: Path,
+    name: str,
+    measure: Callable[[Callable[[str, int, int], None]], dict[str, Any]],
+    *,
+    charted: bool = True,
 ) -> dict[str, Any]:
-    """Run a benchmark under a bar of progress; its numbers go to the folder with the command, and onto its page."""
+    """Run a benchmark under a bar of progress; its numbers go to the folder with the command, and, `charted`, onto its page."""
     from reports.page import bench as page
 
     _folder(folder)
@@ -729,7 +798,8 @@ def _measured(
         measured = measure(report)
     measured["command"] = " ".join(["termwise", *sys.argv[1:]])
     (folder / f"{name}.json").write_text(json.dumps(measured, indent=1), "utf-8")
-    page.write(folder)
+    if charted:
+        page.write(folder)
     return measured
 
 

@@ -229,8 +229,13 @@ class Page:
         def changed(event: Any) -> None:
             self._change(each, event.value)
 
+        def refusal(value: Any) -> str | None:
+            return self._refusal(each, value)
+
         if each.choices:
-            field = ui.select(list(each.choices), value=value, label=each.name, on_change=changed)
+            field = ui.select(
+                list(each.choices), value=value, label=each.name, on_change=changed, validation=refusal
+            )
             self._fields[each.path] = [field.props(f'dense aria-label="{spoken}"').classes("w-full")]
         elif isinstance(value, bool):
             self._fields[each.path] = [ui.switch(each.name, value=value, on_change=changed)]
@@ -243,7 +248,10 @@ class Page:
         def changed(event: Any) -> None:
             self._change(each, event.value)
 
-        field = ui.number(each.name, value=value, step=each.step, on_change=changed)
+        def refusal(value: Any) -> str | None:
+            return self._refusal(each, value)
+
+        field = ui.number(each.name, value=value, step=each.step, on_change=changed, validation=refusal)
         spoken = escape(f"{heading}: {each.name}")
         fields = [field.props(f'dense debounce=200 aria-label="{spoken}"').classes("w-full")]
         if each.high is not None:
@@ -316,21 +324,22 @@ class Page:
 
     # What changes the state
 
+    def _refusal(self, each: Input, value: Any) -> str | None:
+        """Why the model does not take an input's value, for the place of the input."""
+        try:
+            states.put(self.history.state, each.path, value)
+        except ValueError as error:
+            return str(error)
+        return None
+
     def _change(self, each: Input, value: Any) -> None:
-        """Take an input's value, or say in its place why not; the last good state stays."""
+        """Take an input's value; the last good state stays where it is refused."""
         if self._syncing:
             return
-        fields = self._fields[each.path]
         try:
             state = states.put(self.history.state, each.path, value)
-        except ValueError as error:
-            fields[0].error = str(error)
-            if each.choices:
-                self.message.text = str(error)
+        except ValueError:  # `_refusal` says why
             return
-        for field in fields:
-            if hasattr(field, "error"):
-                field.error = None
         self.history.push(state, each.path)
         self._show(state)
 
@@ -366,8 +375,6 @@ class Page:
             for field in fields:
                 if field.value != value:
                     field.value = value
-                if hasattr(field, "error"):
-                    field.error = None
         self._syncing = False
         self.undo.set_enabled(self.history.can_undo)
         self.redo.set_enabled(self.history.can_redo)

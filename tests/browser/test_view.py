@@ -206,18 +206,14 @@ def test_the_camera_turns_by_arrow_keys_and_mouse(page):
     values = [field.input_value()]
     page.locator(".picture-frame").focus()
     page.keyboard.press("ArrowRight")
-    page.wait_for_function(
-        "v => [...document.querySelectorAll('input')].every(i => i.value != v)", arg=values[0]
-    )
+    playwright.expect(field).not_to_have_value(values[0])
     values.append(field.input_value())
     box = page.locator(".picture-frame").bounding_box()
     page.mouse.move(box["x"] + 100, box["y"] + 100)
     page.mouse.down()
     page.mouse.move(box["x"] + 160, box["y"] + 110, steps=4)
     page.mouse.up()
-    page.wait_for_function(
-        "v => [...document.querySelectorAll('input')].every(i => i.value != v)", arg=values[1]
-    )
+    playwright.expect(field).not_to_have_value(values[1])
 
 
 def test_saved_scene_and_copied_command_give_the_picture(page, folder, tmp_path):
@@ -308,7 +304,7 @@ def test_the_truth_arrives_and_is_cancelled(page):
     page.get_by_role("button", name="cancel").click()
     page.get_by_text("cancelled").wait_for()
     page.get_by_role("button", name="render the reference").click()
-    page.get_by_text("16 of 16 replicates").wait_for()
+    page.get_by_text("16 of 16 replicates").wait_for(timeout=4 * WAIT_MS)
     table = page.locator("table[aria-label=Verdicts]").inner_text()
     assert "BIASED" not in table
     assert "EQUIVALENT" in table or "UNDERPOWERED" in table
