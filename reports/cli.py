@@ -785,7 +785,7 @@ def _measured(
     *,
     charted: bool = True,
 ) -> dict[str, Any]:
-    """Run a benchmark under a bar of progress; its numbers go to the folder with the command, and, `charted`, onto its page."""
+    """Run a benchmark under a bar of progress; its numbers go to the folder and, `charted`, onto its page."""
     from reports.page import bench as page
 
     _folder(folder)

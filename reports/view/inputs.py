@@ -28,6 +28,7 @@ class Input:
     unit : of the value, or "".
     low, high, step : of a slider; none where `high` is None.
     choices : allowed words, or ().
+    endless : whether it may be infinite, "inf".
     """
 
     path: Steps
@@ -38,6 +39,7 @@ class Input:
     high: float | None = None
     step: float = 0.01
     choices: tuple[Any, ...] = ()
+    endless: bool = False
 
     @property
     def name(self) -> str:
@@ -110,11 +112,19 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                 )
             ),
             *_triple(("scene", "ambient", "color"), "ambient light", "L_a0", _RADIANCE, "RGB"),
-            Input(("scene", "ambient", "range"), "ambient range", "AO distance", _LENGTH),
+            Input(
+                ("scene", "ambient", "range"),
+                "ambient range",
+                "AO distance",
+                f"{_LENGTH} or inf",
+                endless=True,
+            ),
             *(
                 _triple(("scene", "sky", "color"), "sky", "", _RADIANCE, "RGB")
                 if scene.sky.texture is None
-                else [Input(("scene", "sky", "radius"), "sky's radius", "", _LENGTH)]
+                else [
+                    Input(("scene", "sky", "radius"), "sky's radius", "", f"{_LENGTH} or inf", endless=True)
+                ]
             ),
         ],
     )

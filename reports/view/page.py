@@ -251,7 +251,10 @@ class Page:
         def refusal(value: Any) -> str | None:
             return self._refusal(each, value)
 
-        field = ui.number(each.name, value=value, step=each.step, on_change=changed, validation=refusal)
+        if each.endless:  # a number field of a browser knows no infinity
+            field = ui.input(each.name, value=_text(value), on_change=changed, validation=refusal)
+        else:
+            field = ui.number(each.name, value=value, step=each.step, on_change=changed, validation=refusal)
         spoken = escape(f"{heading}: {each.name}")
         fields = [field.props(f'dense debounce=200 aria-label="{spoken}"').classes("w-full")]
         if each.high is not None:
@@ -327,7 +330,7 @@ class Page:
     def _refusal(self, each: Input, value: Any) -> str | None:
         """Why the model does not take an input's value, for the place of the input."""
         try:
-            states.put(self.history.state, each.path, value)
+            states.put(self.history.state, each.path, _parsed(each, value))
         except ValueError as error:
             return str(error)
         return None
@@ -337,7 +340,7 @@ class Page:
         if self._syncing:
             return
         try:
-            state = states.put(self.history.state, each.path, value)
+            state = states.put(self.history.state, each.path, _parsed(each, value))
         except ValueError:  # `_refusal` says why
             return
         self.history.push(state, each.path)
@@ -373,8 +376,9 @@ class Page:
         for path, fields in self._fields.items():
             value = states.get(state, path)
             for field in fields:
-                if field.value != value:
-                    field.value = value
+                given = _text(value) if isinstance(field.value, str) and isinstance(value, float) else value
+                if field.value != given:
+                    field.value = given
         self._syncing = False
         self.undo.set_enabled(self.history.can_undo)
         self.redo.set_enabled(self.history.can_redo)
@@ -542,6 +546,18 @@ class Page:
             self.truth = None
             self.start.set_enabled(True)
             self.cancel.set_enabled(False)
+
+
+def _text(value: float) -> str:
+    return f"{value:.9g}"
+
+
+def _parsed(each: Input, value: Any) -> Any:
+    """A text that is a number, as one; anything else as it is, for the model to refuse."""
+    try:
+        return float(value) if each.endless else value
+    except (TypeError, ValueError):
+        return value
 
 
 def _samples(frame: Frame, name: str) -> str:

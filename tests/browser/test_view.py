@@ -308,3 +308,18 @@ def test_the_truth_arrives_and_is_cancelled(page):
     table = page.locator("table[aria-label=Verdicts]").inner_text()
     assert "BIASED" not in table
     assert "EQUIVALENT" in table or "UNDERPOWERED" in table
+
+
+def test_every_scene_of_the_library_has_a_page(page):
+    """Infinite distances included: what the browser's number fields do not know."""
+    for name in ("monkey", "two_cubes"):
+        page.get_by_label("scene", exact=True).first.click()
+        page.get_by_role("option", name=name, exact=True).click()
+        page.wait_for_selector(f"img.picture[alt^='{name}, total:']")
+    page.get_by_text("Light", exact=True).click()
+    reach = page.get_by_label("Light: ambient range (paper: AO distance, scene units or inf)")
+    playwright.expect(reach).to_have_value("inf")
+    reach.fill("far")
+    page.get_by_text("range = 'far': allowed is a number").wait_for()
+    reach.fill("0.5")
+    page.wait_for_function("document.body.innerText.includes('kept: direct, background')")
