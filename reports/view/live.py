@@ -159,6 +159,7 @@ class Live:
         self._shown: tuple[int, State, float] | None = None
         self._first_s: float | None = None
         self._error = ""
+        self._told_paused = False
         self._sums: dict[Term, _Sum] = {}
         self._kept: OrderedDict[tuple, _Sum] = OrderedDict()
         self._reused: set[Term] = set()
@@ -177,7 +178,7 @@ class Live:
             self._changed.notify()
 
     def pause(self, paused: bool = True) -> None:
-        """Stop refining after the step that runs, or go on."""
+        """Stop refining as soon as all terms have equally many samples, or go on."""
         with self._changed:
             self._paused = paused
             self._changed.notify()
@@ -212,6 +213,7 @@ class Live:
             assert self._wanted is not None
             anew = self._wanted is not self._shown
             self._shown, paused = self._wanted, self._paused
+            self._told_paused = paused
         number, state, since = self._shown
         try:
             if anew:
@@ -224,7 +226,7 @@ class Live:
                     if self._closed or self._wanted is not self._shown:
                         return not self._closed
                     self._running = following
-                following.step(state.samples)
+                following.step(self._goal(state, paused))
                 if following.samples == 1:
                     self._pace[following.term] = following.seconds / math.prod(state.scene.resolution)
         except Cancelled:
@@ -246,6 +248,8 @@ class Live:
     def _awake(self) -> bool:
         """Whether there is something to do."""
         if self._closed or self._wanted is not self._shown:
+            return True
+        if self._shown is not None and self._paused != self._told_paused:
             return True
         return (
             self._shown is not None
@@ -283,9 +287,14 @@ class Live:
             if id(each.engine) not in alive:
                 each.engine.pool.shutdown(wait=False)
 
+    def _goal(self, state: State, paused: bool) -> int:
+        """Samples of each term: the state's; or as many as the foremost has, for a picture of one count at rest."""
+        foremost = max((each.samples for each in self._sums.values()), default=1)
+        return min(state.samples, max(1, foremost)) if paused else state.samples
+
     def _next(self, state: State, paused: bool) -> _Sum | None:
-        """The sum that has the fewest samples, if it is to have more; a paused page has one of each."""
-        goal = 1 if paused else state.samples
+        """The sum that has the fewest samples, if it is to have more."""
+        goal = self._goal(state, paused)
         behind = [each for each in self._sums.values() if each.samples < goal and not each.broken]
         return min(behind, key=lambda each: each.samples, default=None)
 
@@ -324,7 +333,7 @@ class Live:
             status: Status = "starting" if each.image is None else "rendering"
             if each.samples >= state.samples:
                 status = "done"
-            elif stopped:
+            elif stopped and each.samples >= self._goal(state, True):
                 status = "stopped"
             views[term] = TermView(each.image, each.samples, each.seconds, status, term in self._reused)
         return views

@@ -39,7 +39,8 @@ DRAWN_S = 0.1
 _GONE_S = 3.0  # a tab that is away for longer is closed
 
 _STYLE = """
-body { --q-primary: #0b5394 !important } .body--dark { --q-primary: #8dbff2 !important }
+body { --q-primary: #0b5394 !important } .body--dark { --q-primary: #8dbff2 !important;
+--q-negative: #ffb8a1 !important }
 .q-field__messages { line-height: 1.3 }
 .picture { image-rendering: pixelated; width: 100%; display: block; background: #8883 }
 .picture-frame:focus-visible { outline: 3px solid #5a9bd8; outline-offset: 2px }
@@ -502,7 +503,8 @@ class Page:
     def _start_truth(self) -> None:
         self._stop_truth()
         self.errors.clear()
-        samples = max(1, (self.frame.samples if self.frame else 1) or 1)
+        taken = [view.samples for view in self.frame.terms.values() if view.samples] if self.frame else []
+        samples = min(taken, default=1)
         self.live.pause()
         self.pause.value = False
         self.start.set_enabled(False)
@@ -621,7 +623,7 @@ def _terms_table(frame: Frame) -> str:
 def _plan_table(frame: Frame) -> str:
     state = frame.state
     variants: dict[Term, Variant] = {term: state.variant(term) for term in TERMS}
-    steps = plan(state.scene, variants, chain=CHAIN, samples=state.samples, together=True)
+    steps = plan(state.scene, variants, chain=CHAIN, samples=state.samples)
     rows = []
     for step in steps:
         saved = ", ".join(f"{count:,} {name}" for name, count in step.saved.items())

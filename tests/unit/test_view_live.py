@@ -163,6 +163,26 @@ def test_pause_keeps_the_picture_and_resume_goes_on(watch, compiled):
     assert seen.until(1, 4).at_rest
 
 
+def test_a_pause_ends_with_equally_many_samples(watch, compiled):
+    """What is exported then is what one command renders."""
+    live, seen = watch
+    state = small("cornell_box", compiled, samples=2**20)
+    live.show(state)
+    seen.until(1, 2)
+    live.pause()
+    end = time.monotonic() + WAIT_S
+    while not seen.frames[-1].at_rest:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    frame = seen.frames[-1]
+    assert frame.samples is not None
+    assert 2 <= frame.samples < 2**20
+    if frame.samples <= 2**12:  # as many as a test can render again
+        found = frame.total
+        assert found is not None
+        assert found.tobytes() == total(**rendered(state, frame.samples)).tobytes()
+
+
 def test_two_sessions_do_not_disturb_each_other(compiled):
     watches = Watch(), Watch()
     states = small("cornell_box", compiled), small("monkey", compiled)
