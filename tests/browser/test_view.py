@@ -184,7 +184,7 @@ def test_a_wrong_value_is_refused_in_its_place(page):
     enter(page, "tall block", "gloss (paper: g)", "")
     page.get_by_text("gloss = None: allowed is a number").wait_for()
     changed(page, "tall block", "gloss (paper: g)", "0.4")
-    assert page.get_by_text("allowed is a number").count() == 0
+    playwright.expect(page.get_by_text("allowed is a number")).to_have_count(0)
 
 
 def test_undo_redo_by_keyboard(page):
