@@ -6,7 +6,7 @@ Sweeps are prefixes: the sums after 1, 2, 4, ... samples of one run, so that a s
 import os
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
@@ -181,11 +181,14 @@ class Engine:
         chain: Chain = "next-event",
         progress: Progress | None = None,
         cancel: threading.Event | None = None,
+        counts: Iterable[int] | None = None,
     ) -> Iterator[tuple[int, np.ndarray, float]]:
         """Yield (N, image, seconds) for N = 1, 2, 4, ..., samples of one replicate.
 
         `image` is the mean of the first N samples, (H, W, 3) float64; `seconds` the time since the start,
         compilation excluded, a pilot's included. `progress` is called with (samples done, samples).
+        `counts`: other values of N, ascending and read one at a time, the last of them `samples`; each image has the
+        same bits as if no other were asked for.
 
         Raises
         ------
@@ -196,12 +199,12 @@ class Engine:
             raise ValueError(f"samples = {samples}: allowed is at least 1")
         check(self.scene, variant, chain=chain)
         if variant.function is not None:
-            yield from self._called(variant, samples, seed, replicate, progress, cancel)
+            yield from self._called(variant, samples, seed, replicate, progress, cancel, counts)
             return
         width, height = self.scene.resolution
         out = np.zeros((height, width, 3))
         if "term" not in self.without and skipped(self.scene, variant.term) is not None:
-            yield from ((count, out.copy(), 0.0) for count in powers_of_two(samples))
+            yield from ((count, out.copy(), 0.0) for count in counts or powers_of_two(samples))
             return
         key = root(seed, replicate)
         stored = needs_photons(self.scene, variant, chain, without=self.without)
@@ -220,9 +223,9 @@ class Engine:
         share = np.ones(len(tiles))
         if self.adaptive:
             share = self._pilot(variant, chain, stream(key, _PILOT_STREAM), tiles, cancel)
-        counts = np.ones((height, width, 1))
+        taken = np.ones((height, width, 1))
         seconds = time.perf_counter() - begin
-        for count in powers_of_two(samples):
+        for count in counts or powers_of_two(samples):
             start = time.perf_counter()
             first = done
             while first < count:
@@ -241,10 +244,10 @@ class Engine:
                     progress(last, samples)
             done = count
             seconds += time.perf_counter() - start
-            counts[:] = count
+            taken[:] = count
             for x0, y0, x1, y1, _, last in _work(tiles, share, 0, count).tolist():
-                counts[y0:y1, x0:x1] = last
-            yield count, out / counts, seconds
+                taken[y0:y1, x0:x1] = last
+            yield count, out / taken, seconds
 
     def _called(
         self,
@@ -254,13 +257,14 @@ class Engine:
         replicate: int,
         progress: Progress | None,
         cancel: threading.Event | None,
+        counts: Iterable[int] | None,
     ) -> Iterator[tuple[int, np.ndarray, float]]:
         """Prefixes of an estimator in Python: it is called for each count, and the seconds are those of that call."""
         assert variant.function is not None
         width, height = self.scene.resolution
         # 63 bits: of those that take a seed many take no more.
         own_seed = int(root(seed, replicate) >> np.uint64(1))
-        for count in powers_of_two(samples):
+        for count in counts or powers_of_two(samples):
             if cancel is not None and cancel.is_set():
                 raise Cancelled
             start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The command `termwise`: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, bench.
+"""The command `termwise`: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, view, bench.
 
 Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`; of `diff`, something became
 worse); 2: bad input, or a run, or one of its scenes, that could not end. With --json one object goes to standard
@@ -515,7 +515,7 @@ def render(
     scene: str,
     *,
     term: str | None = None,
-    variant: str | None = None,
+    variant: list[str] | None = None,
     samples: Integer = 16,
     replicates: Integer = 1,
     seed: Integer = 0,
@@ -534,7 +534,7 @@ def render(
     term
         ambient, direct, specular or background; without it all four and their sum.
     variant
-        An estimator of the term; its default if not given.
+        An estimator of the term, its default if not given. Without --term: TERM=NAME, once for each term.
     samples
         Samples per pixel and replicate; powers of two are best.
     replicates
@@ -559,18 +559,22 @@ def render(
     _check_seed(seed)
     folder = _folder(out / "render")
     terms = TERMS if term is None else (term,)
-    if term is None and variant is not None:
-        raise ValueError(f"variant = {variant!r}: allowed is a variant of one term; give --term too")
+    variants = _variants(terms, variant or []) if term is None else _variant(term, variant or [])
     found = renderer.render_terms(
         described,
-        dict.fromkeys(terms, variant),
+        variants,
         samples=samples,
         replicates=replicates,
         seed=seed,
         threads=threads,
         adaptive=adaptive,
     )
-    settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": variant or "default"}
+    settings = {
+        "samples": samples,
+        "replicates": replicates,
+        "seed": seed,
+        "variant": " ".join(variant or ["default"]),
+    }
     return _write_images(described, found, folder, settings | {"adaptive": adaptive}, json_)
 
 
@@ -727,6 +731,36 @@ def scenes(*, json_: Annotated[Json, Parameter(name="--json")] = False) -> int:
         values = (row["objects"], row["triangles"], row["lights"], row["scope"], row["max_bounces"])
         table.add_row(row["name"], *map(str, values))
     _output.print(table)
+    return 0
+
+
+@app.command
+def view(
+    scene: str = "two_cubes",
+    *,
+    port: Annotated[int | None, _whole] = None,
+    browser: bool = True,
+    out: Path = Path("out"),
+) -> int:
+    """Open a local page on which every input is set and each term is watched while it converges.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    port
+        Of 127.0.0.1; a free one if not given.
+    browser
+        Open it in a browser.
+    out
+        What is saved goes to OUT/view, nothing elsewhere.
+    """
+    from reports.view.page import serve
+
+    def announce(address: str) -> None:
+        _output.print(f"termwise view: {address} (Ctrl-C ends it)", highlight=False)
+
+    serve(scene, out / "view", port=port, browser=browser, announce=announce)
     return 0
 
 
@@ -1039,10 +1073,84 @@ def economies(
     return 1 if failed else 0
 
 
+@bench.command(name="view")
+def bench_view(
+    *,
+    scene: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    changes: Integer = 30,
+    resolution: Integer = 256,
+    threads: Annotated[int | None, _whole] = None,
+    out: Path = Path("out"),
+    quiet: Quiet = False,
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Measure how long a changed input takes to be seen on the page of `termwise view`.
+
+    Parameters
+    ----------
+    scene
+        two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
+    changes
+        Of each input; their median counts.
+    resolution
+        Pixels of a side of the square image.
+    threads
+        Threads; one per core if not given.
+    out
+        The numbers go to OUT/bench/view.json.
+    quiet
+        No progress on standard error.
+    json_
+        Print them on standard output.
+    """
+    from reports.bench import view as of_view
+
+    measured = _measured(
+        out / "bench",
+        "view",
+        lambda report: of_view.measure(
+            scenes=tuple(scene or ()),
+            changes=changes,
+            resolution=resolution,
+            threads=threads,
+            report=report,
+        ),
+        quiet=quiet or json_,
+        charted=False,
+    )
+    if json_:
+        print(json.dumps(measured))
+        return 0
+    columns = ("scene", "input", "seconds", "spread", "previews")
+    table = Table(*columns, box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for case in measured["cases"]:
+        table.add_row(
+            case["scene"],
+            case["input"],
+            f"{case['seconds']:.3f}",
+            f"{case['seconds_low']:.3f}-{case['seconds_high']:.3f}",
+            f"{case['previews']} of {case['changes']}",
+        )
+    _output.print(table)
+    before, after = measured["memory_mb"]
+    _output.print(
+        f"From a change to the first picture, {resolution} x {resolution} pixels; a preview has a quarter of them. "
+        f"Memory {before:.0f} MB after the first change, {after:.0f} MB after the last.",
+        soft_wrap=True,
+    )
+    _print_machine(measured["machine"])
+    return 0
+
+
 def _measured(
-    folder: Path, name: str, measure: Callable[[Report], dict[str, Any]], *, quiet: bool
+    folder: Path,
+    name: str,
+    measure: Callable[[Report], dict[str, Any]],
+    *,
+    quiet: bool,
+    charted: bool = True,
 ) -> dict[str, Any]:
-    """Run a benchmark and show its progress; its numbers go to the folder with the command, and onto its page."""
+    """Run a benchmark and show its progress; its numbers go to the folder and, `charted`, onto its page."""
     from reports.page import bench as page
 
     _folder(folder)
@@ -1050,7 +1158,8 @@ def _measured(
         measured = measure(stage(name.capitalize()))
     measured["command"] = _command()
     (folder / f"{name}.json").write_text(json.dumps(measured, indent=1), "utf-8")
-    page.write(folder)
+    if charted:
+        page.write(folder)
     return measured
 
 
@@ -1098,6 +1207,26 @@ def _scene(name: str, resolution: tuple[int, int] | None) -> Any:
 def _check_seed(seed: int) -> None:
     if not 0 <= seed < 2**31:
         raise ValueError(f"seed = {seed}: allowed is an integer in [0, {2**31 - 1}]")
+
+
+def _variant(term: str, given: list[str]) -> dict[str, str | None]:
+    """The estimator of one term."""
+    if len(given) > 1:
+        raise ValueError(f"variant = {', '.join(given)}: allowed is one with term = {term!r}")
+    return {term: given[0] if given else None}
+
+
+def _variants(terms: tuple[str, ...], given: list[str]) -> dict[str, str | None]:
+    """The estimator of each term, from words TERM=NAME."""
+    chosen: dict[str, str | None] = dict.fromkeys(terms)
+    for word in given:
+        term, equals, name = word.partition("=")
+        if not equals or term not in terms:
+            raise ValueError(
+                f"variant = {word!r}: allowed is TERM=NAME, or NAME with --term; terms are {', '.join(terms)}"
+            )
+        chosen[term] = name
+    return chosen
 
 
 def _folder(path: Path) -> Path:
