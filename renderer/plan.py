@@ -40,13 +40,8 @@ class Skip:
 
 
 @attrs.frozen
-class Economy:
-    """Fewer samples, or better ones, for the same expectation; the fields are those of a skip."""
-
-    name: str
-    work: str
-    why: str
-    reason: Callable[[Scene, Variant, Chain], str | None]
+class Economy(Skip):
+    """Fewer samples, or better ones, for the same expectation; `why` it is the same."""
 
 
 @attrs.frozen

@@ -691,7 +691,7 @@ def plan(
         print(json.dumps({"scene": scene, "samples": samples, "steps": found}))
         return 0
     colours = {"runs": "", "skip": "green", "economy": "cyan", "reuse": "cyan"}
-    table = Table("term", "work", "", "why", "saved", box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    table = _table("term", "work", "", "why", "saved")
     before = None
     for step in steps:
         saved = ", ".join(f"{count:,} {name}" for name, count in step.saved.items())
@@ -808,8 +808,7 @@ def rays(
         print(json.dumps(measured))
         return 0
     columns = ("mesh", "triangles", "rays", "ours", "Mitsuba", "ratio", "spread", "by CPU", "default")
-    # 80 columns hold it: what is not a terminal has no more.
-    table = Table(*columns, box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    table = _table(*columns)
     for case in measured["cases"]:
         table.add_row(
             case["mesh"],
@@ -892,16 +891,8 @@ def terms(
         print(json.dumps(measured))
         return 0
     for name in dict.fromkeys(case["scene"] for case in measured["cases"]):
-        # 80 columns hold it: what is not a terminal has no more.
         columns = ("term", "variant", "RMSE", "ours", "Mitsuba", "times", "spread", "its setting")
-        table = Table(
-            *columns,
-            title=f"\n[bold]{name}",
-            title_justify="left",
-            box=None,
-            padding=(0, 1, 0, 0),
-            pad_edge=False,
-        )
+        table = _table(*columns, title=name)
         for case in measured["cases"]:
             if case["scene"] == name:
                 table.add_row(
@@ -966,7 +957,7 @@ def scaling(
     if json_:
         print(json.dumps(measured))
         return 0
-    table = Table("axis", "value", "seconds", "spread", "ns each", "MB", box=None, pad_edge=False)
+    table = _table("axis", "value", "seconds", "spread", "ns each", "MB")
     for case in measured["cases"]:
         processes = case.get("processes", 1)
         table.add_row(
@@ -1041,16 +1032,8 @@ def economies(
         print(json.dumps(measured))
         return 1 if failed else 0
     for name in dict.fromkeys(case["scene"] for case in measured["cases"]):
-        # 80 columns hold it: what is not a terminal has no more.
         columns = ("economy", "term", "variant", "variance", "seconds", "cost", "spread", "verdict")
-        table = Table(
-            *columns,
-            title=f"\n[bold]{name}",
-            title_justify="left",
-            box=None,
-            padding=(0, 1, 0, 0),
-            pad_edge=False,
-        )
+        table = _table(*columns, title=name)
         for case in measured["cases"]:
             if case["scene"] == name:
                 table.add_row(
@@ -1288,6 +1271,14 @@ def _write_images(
     return 0
 
 
+def _table(*columns: str, title: str | None = None) -> Table:
+    """A table without lines, narrow enough for 80 columns: what is not a terminal has no more."""
+    heading = None if title is None else f"\n[bold]{title}"
+    return Table(
+        *columns, title=heading, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
+    )
+
+
 def _command() -> str:
     """What was typed, fit to be typed again."""
     return shlex.join(["termwise", *sys.argv[1:]])
@@ -1309,15 +1300,7 @@ def _print_diff(found: dict[str, Any]) -> None:
             f"{each['scene']}: {was if each['after'] else 'failed before'}: {each['after'] or each['before']}"
         )
     for scene in dict.fromkeys(row["scene"] for row in found["rows"]):
-        # 80 columns hold it: what is not a terminal has no more.
-        table = Table(
-            *("term", "variant", "bias", "RMSE", "time", "verdict"),
-            title=f"\n[bold]{scene}",
-            title_justify="left",
-            box=None,
-            padding=(0, 1, 0, 0),
-            pad_edge=False,
-        )
+        table = _table("term", "variant", "bias", "RMSE", "time", "verdict", title=scene)
         for row in found["rows"]:
             if row["scene"] == scene:
                 changes = [_change(name, row[name]) for name in ("bias", "error", "time")]
@@ -1441,14 +1424,10 @@ def _print_results(results: dict[str, Any]) -> None:
     judged = [row for row in results["cells"] if row["verdict"] is not None]
     certified = results["settings"]["certified"]
     for scene in results["settings"]["scenes"]:
-        # 80 columns hold it: what is not a terminal has no more.
         columns = ("term", "variant", "bias [90 %] in %", "RMSE", "SSIM", "s", "verdict")
         if certified["budget"] is not None:
             columns = ("term", "variant", "bias [90 %] in %", "K", "ours s", "ref. s", "verdict")
-        title = f"\n[bold]{scene}"
-        table = Table(
-            *columns, title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
-        )
+        table = _table(*columns, title=scene)
         for row in judged:
             if row["scene"] != scene:
                 continue

@@ -130,7 +130,7 @@ def write(run: Path, *, report: Report = silent) -> Path:
     for done, scene in enumerate(every, len(every) + 1):
         report(scene.name, done, steps)
         page = run / "scenes" / f"{scene.name}.html"
-        # Scenes with a changed setting have no viewer: the pixels of a study of variants would not be light.
+        # A scene with a changed setting has static pictures alone: the report of a study of variants stays small.
         viewed = viewer.write_data(run, scene) if scene.setting is None else None
         render_page(environment, "scene.html.j2", page, root="../", scene=scene, viewed=viewed, **common)
         if viewed:
@@ -154,6 +154,7 @@ class _Scene:
         audits: list[dict[str, Any]],
     ) -> None:
         self.name = name
+        self._dataset: xarray.Dataset | None = None
         self.branches: dict[tuple[str, str], dict[str, Any]] = {}
         self.audits = [audit for audit in audits if audit["scene"] == name]
         self.described = {
@@ -199,12 +200,18 @@ class _Scene:
         ]
         return max(rows, key=lambda row: row["samples"] or 0, default=None)
 
+    def dataset(self, run: Path) -> xarray.Dataset:
+        """The scene's group of `results.nc`, read once."""
+        if self._dataset is None:
+            with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as opened:
+                self._dataset = opened.load()
+        return self._dataset
+
     def look(self, run: Path, results: dict[str, Any]) -> None:
         """Find the most suspect pixel of each judged row that has light; an earlier version's run has no pieces."""
-        with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as dataset:
-            if not microscope.has_pieces(dataset):
-                return
-            dataset = dataset.load()
+        dataset = self.dataset(run)
+        if not microscope.has_pieces(dataset):
+            return
         for term, variant in self.keys:
             row = self.row(term, variant, "own")
             if row and row["verdict"] not in (None, "ABSENT"):
@@ -234,8 +241,7 @@ class _Scene:
 
     def draw(self, run: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
         """Write the scene's pictures; returns, by (term, variant, against), their addresses and scales."""
-        with xarray.open_dataset(run / "results.nc", group=self.name, engine="h5netcdf") as dataset:
-            dataset = dataset.load()
+        dataset = self.dataset(run)
         self._time_reference(dataset)
         exposure = float(dataset.attrs.get("exposure", self.described["exposure"] or 1.0))
         folder = Path("pictures") / self.name

