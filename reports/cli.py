@@ -1061,13 +1061,14 @@ def bench_view(
     *,
     scene: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
     changes: Integer = 30,
+    memory_changes: Integer = 1000,
     resolution: Integer = 256,
     threads: Annotated[int | None, _whole] = None,
     out: Path = Path("out"),
     quiet: Quiet = False,
     json_: Annotated[Json, Parameter(name="--json")] = False,
 ) -> int:
-    """Measure how long a changed input takes to be seen on the page of `termwise view`.
+    """Measure how long a changed input takes to be seen on the page of `termwise view`, and whether memory stays.
 
     Parameters
     ----------
@@ -1075,6 +1076,8 @@ def bench_view(
         two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
     changes
         Of each input; their median counts.
+    memory_changes
+        Changes of all inputs in turn, over which memory is measured.
     resolution
         Pixels of a side of the square image.
     threads
@@ -1094,12 +1097,12 @@ def bench_view(
         lambda report: of_view.measure(
             scenes=tuple(scene or ()),
             changes=changes,
+            memory_changes=memory_changes,
             resolution=resolution,
             threads=threads,
             report=report,
         ),
         quiet=quiet or json_,
-        charted=False,
     )
     if json_:
         print(json.dumps(measured))
@@ -1115,10 +1118,14 @@ def bench_view(
             f"{case['previews']} of {case['changes']}",
         )
     _output.print(table)
-    before, after = measured["memory_mb"]
+    memory = measured["memory"]
+    said = " and ".join(
+        f"{megabytes:.0f} MB after {count}"
+        for count, megabytes in zip(memory["changes"], memory["megabytes"], strict=True)
+    )
     _output.print(
         f"From a change to the first picture, {resolution} x {resolution} pixels; a preview has a quarter of them. "
-        f"Memory {before:.0f} MB after the first change, {after:.0f} MB after the last.",
+        f"Memory: {said} changes of {memory['scene']}.",
         soft_wrap=True,
     )
     _print_machine(measured["machine"])
@@ -1131,9 +1138,8 @@ def _measured(
     measure: Callable[[Report], dict[str, Any]],
     *,
     quiet: bool,
-    charted: bool = True,
 ) -> dict[str, Any]:
-    """Run a benchmark and show its progress; its numbers go to the folder and, `charted`, onto its page."""
+    """Run a benchmark and show its progress; its numbers go to the folder and onto its page."""
     from reports.page import bench as page
 
     _folder(folder)
@@ -1141,8 +1147,7 @@ def _measured(
         measured = measure(stage(name.capitalize()))
     measured["command"] = _command()
     (folder / f"{name}.json").write_text(json.dumps(measured, indent=1), "utf-8")
-    if charted:
-        page.write(folder)
+    page.write(folder)
     return measured
 
 

@@ -21,29 +21,34 @@ from reports.view.state import State, Steps, get, put
 from scenes.load import load
 
 SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
+SIDE = 32
+"""Pixels of a side where memory is measured: what a change might leave behind is hardly less in a small picture."""
 
 
 def measure(
     *,
     scenes: tuple[str, ...] = (),
     changes: int = 30,
+    memory_changes: int = 1000,
     resolution: int = 256,
     threads: int | None = None,
     report: Callable[[str, int, int], None],
 ) -> dict[str, Any]:
-    """Seconds of `changes` changes of each input of each scene; memory before and after them all.
+    """Seconds of `changes` changes of each input of each scene; memory over `memory_changes` changes.
 
     Returns
     -------
     dict
-        cases: scene, input, median, least and greatest seconds, the samples of that picture's first term (0: a preview
-        of one sample for 2 x 2 pixels). memory_mb: after the first scene's first change, and at the end.
+        cases: scene, input, median, least and greatest seconds, and how many of the pictures were previews, of one
+        sample for 2 x 2 pixels. memory: see `held`. machine: `load_end` is the load when all was done.
     """
     common.known("scene", scenes, SCENES)
-    common.positive(changes=changes, resolution=resolution)
+    common.positive(changes=changes, memory_changes=memory_changes, resolution=resolution)
     chosen = scenes or SCENES
+    machine = common.machine(threads or os.cpu_count() or 1)
+    # First, while nothing else has been held.
+    memory = held(chosen[0], changes=memory_changes, threads=threads, report=report)
     cases: list[dict[str, Any]] = []
-    memory: list[float] = []
     for number, name in enumerate(chosen):
         state = State(attrs.evolve(load(name), resolution=(resolution, resolution)), samples=2**20)
         frames = _Frames()
@@ -63,8 +68,6 @@ def measure(
                     frame, at = frames.first(shown)
                     seconds.append(at - begin)
                     previews += any(view.status == "preview" for view in frame.terms.values())
-                    if not memory:
-                        memory.append(_resident_mb())
                 middle, least, most = common.spread(seconds)
                 cases.append(
                     {
@@ -80,13 +83,46 @@ def measure(
         finally:
             live.close()
             live.join()
-    memory.append(_resident_mb())
     return {
         "cases": cases,
-        "resolution": resolution,
-        "memory_mb": memory,
-        "machine": common.machine(threads or os.cpu_count() or 1),
+        "memory": memory,
+        "settings": {"resolution": resolution, "changes": changes},
+        "machine": machine | {"load_end": os.getloadavg()[0]},
     }
+
+
+def held(
+    name: str, *, changes: int, threads: int | None, report: Callable[[str, int, int], None]
+) -> dict[str, Any]:
+    """Memory that the process holds after a tenth of the changes and after all of them.
+
+    Inputs take turns, each new value one that was never shown, and the picture of each is waited for.
+
+    Returns
+    -------
+    dict
+        scene, resolution; changes and megabytes: two of each.
+    """
+    state = State(attrs.evolve(load(name), resolution=(SIDE, SIDE)), samples=1)
+    moved = _inputs(state)
+    points = max(1, changes // 10), changes
+    found: list[float] = []
+    frames = _Frames()
+    live = Live(frames, threads=threads)
+    try:
+        for change in range(1, changes + 1):
+            report(f"{name}: memory", change - 1, changes)
+            _, path, step = moved[change % len(moved)]
+            # Back and forth: no input comes to the end of its range.
+            turns = change // len(moved)
+            state = put(state, path, get(state, path) + (step if turns % 2 else -0.9 * step))
+            live.show(state)
+            frames.first(change)
+            found += [_resident_mb() for point in points if point == change]
+    finally:
+        live.close()
+        live.join()
+    return {"scene": name, "resolution": SIDE, "changes": list(points), "megabytes": found}
 
 
 def _inputs(state: State) -> list[tuple[str, Steps, float]]:
@@ -113,20 +149,32 @@ class _Frames:
         self._last: tuple[Frame, float] | None = None
 
     def __call__(self, frame: Frame) -> None:
-        image = frame.total
-        if image is None or (self._last is not None and self._last[0].number == frame.number):
+        if self._last is not None and self._last[0].number == frame.number:
             return
-        png(display(image, exposure=frame.state.scene.exposure))
+        image = frame.total
+        if image is not None:
+            png(display(image, exposure=frame.state.scene.exposure))
+        elif not frame.error:
+            return
         with self._new:
             self._last = frame, time.perf_counter()
             self._new.notify()
 
     def first(self, number: int) -> tuple[Frame, float]:
-        """Wait for state `number`."""
+        """Wait for state `number`.
+
+        Raises
+        ------
+        ValueError
+            Rendering ended with an error.
+        """
         with self._new:
             self._new.wait_for(lambda: self._last is not None and self._last[0].number == number)
             assert self._last is not None
-            return self._last
+            frame, at = self._last
+        if frame.error:
+            raise ValueError(f"{frame.state.scene.name}: {frame.error}")
+        return frame, at
 
 
 def _resident_mb() -> float:

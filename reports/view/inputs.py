@@ -10,7 +10,7 @@ import attrs
 
 from renderer.terms import VARIANTS
 from reports.view.state import State, Steps
-from scenes.model import Photons, Scene
+from scenes.model import Photons, Scene, Sky
 from scenes.terms import TERMS
 
 _LENGTH, _RADIANCE, _DEGREES = "scene units", "radiance", "degrees"
@@ -28,7 +28,7 @@ class Input:
     unit : of the value, or "".
     low, high, step : of a slider; none where `high` is None.
     choices : allowed words, or ().
-    endless : whether it may be infinite, "inf".
+    word : what may stand in the place of a number, "inf" or "auto"; "" where nothing may.
     """
 
     path: Steps
@@ -39,7 +39,7 @@ class Input:
     high: float | None = None
     step: float = 0.01
     choices: tuple[Any, ...] = ()
-    endless: bool = False
+    word: str = ""
 
     @property
     def name(self) -> str:
@@ -65,6 +65,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
         [
             *_triple(("scene", "camera", "position"), "position", "", _LENGTH, "xyz"),
             *_triple(("scene", "camera", "target"), "looks at", "", _LENGTH, "xyz"),
+            *_triple(("scene", "camera", "up"), "up", "", "direction", "xyz"),
             Input(("scene", "camera", "fov"), "field of view", "FOV", _DEGREES, 1.0, 179.0, 1.0),
             Input(("scene", "camera", "near"), "near distance", "distance", _LENGTH),
             Input(("scene", "resolution", 0), "width", "", "pixels; aspect is width over height"),
@@ -117,13 +118,19 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                 "ambient range",
                 "AO distance",
                 f"{_LENGTH} or inf",
-                endless=True,
+                word="inf",
             ),
             *(
                 _triple(("scene", "sky", "color"), "sky", "", _RADIANCE, "RGB")
                 if scene.sky.texture is None
                 else [
-                    Input(("scene", "sky", "radius"), "sky's radius", "", f"{_LENGTH} or inf", endless=True)
+                    *_triple(("scene", "sky", "center"), "sky's centre", "", _LENGTH, "xyz"),
+                    Input(("scene", "sky", "radius"), "sky's radius", "", f"{_LENGTH} or inf", word="inf"),
+                    Input(
+                        ("scene", "sky", "projection"),
+                        "sky's projection",
+                        choices=get_args(attrs.fields_dict(Sky)["projection"].type),
+                    ),
                 ]
             ),
         ],
@@ -151,6 +158,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
             Input(("scene", "photons", "count"), "photons", "", "a pass"),
             Input(("scene", "photons", "radius"), "radius", "", f"{_LENGTH}, of the first pass"),
             Input(("scene", "photons", "nearest"), "nearest", "k", "photons"),
+            Input(("scene", "photons", "survival"), "survival", "", "probability, or auto", word="auto"),
             *(
                 Input(
                     ("scene", "photons", name),

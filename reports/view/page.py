@@ -36,7 +36,9 @@ from scenes.terms import TERMS, TOTAL, Term
 
 DRAWN_S = 0.1
 """Pictures are sent no more often, but for the first after a change and the last."""
-_GONE_S = 3.0  # a tab that is away for longer is closed
+# A tab that is away for longer is closed, and has lost its state. Its work rests from the first moment; the browser is
+# asked every 0.8 of this time whether it is there, and has 0.4 of it to answer: 3 s were too few on a busy machine.
+_GONE_S = 30.0
 
 _STYLE = """
 body { --q-primary: #0b5394 !important } .body--dark { --q-primary: #8dbff2 !important;
@@ -77,7 +79,7 @@ def serve(
 
         app.add_middleware(Guard, port=port)
 
-        @ui.page("/", title="Termwise: view", reconnect_timeout=_GONE_S)
+        @ui.page("/", title="Termwise: view")
         def page() -> None:
             Page(ui, first, folder)
 
@@ -91,6 +93,7 @@ def serve(
             show=False,
             reload=False,
             dark=None,
+            reconnect_timeout=_GONE_S,
             show_welcome_message=False,
             uvicorn_logging_level="error",
         )
@@ -137,6 +140,8 @@ class Page:
         self.history = History(state)
         self.frame: Frame | None = None
         self.truth: Truth | None = None
+        self._judged: State | None = None
+        self._asked = 0  # truths so far: what one that was cancelled still tells is not the next one's
         self.shown = "sum"
         self.saved: Path | None = None
         self._fields: dict[Steps, list[Any]] = {}
@@ -148,6 +153,8 @@ class Page:
         client = ui.context.client
         self._build()
         self.live = Live(self._on_frame)
+        client.on_disconnect(self.live.pause)
+        client.on_connect(lambda: self.live.pause(not self.pause.value))
         client.on_delete(self.close)
         self._show(state)
 
@@ -252,7 +259,7 @@ class Page:
         def refusal(value: Any) -> str | None:
             return self._refusal(each, value)
 
-        if each.endless:  # a number field of a browser knows no infinity
+        if each.word:  # a number field of a browser takes none
             field = ui.input(each.name, value=_text(value), on_change=changed, validation=refusal)
         else:
             field = ui.number(each.name, value=value, step=each.step, on_change=changed, validation=refusal)
@@ -377,14 +384,19 @@ class Page:
         for path, fields in self._fields.items():
             value = states.get(state, path)
             for field in fields:
-                given = _text(value) if isinstance(field.value, str) and isinstance(value, float) else value
+                given = _text(value) if isinstance(field.value, str) and not isinstance(value, str) else value
                 if field.value != given:
                     field.value = given
         self._syncing = False
         self.undo.set_enabled(self.history.can_undo)
         self.redo.set_enabled(self.history.can_redo)
-        if self.truth and self.truth.state is not state:
+        if self._judged is not None and states.invalidated(self._judged, state):
             self._stop_truth()
+            self._judged = None
+            self.verdicts.content = ""
+            self.errors.clear()
+            self.progress.value = 0.0
+            self.judged.text = "none of this state yet"
         self.live.show(state)
 
     # What the renderer tells
@@ -510,12 +522,16 @@ class Page:
         self.start.set_enabled(False)
         self.cancel.set_enabled(True)
         self.judged.text = "starting Mitsuba"
-        loop = self._loop
+        self.progress.value = 0.0
+        self.verdicts.content = ""
+        self._judged = self.history.state
+        self._asked += 1
+        loop, asked = self._loop, self._asked
         self.truth = Truth(
             self.history.state,
             min(samples, 64),
             self.folder,
-            lambda view: loop.call_soon_threadsafe(self._draw_truth, view),
+            lambda view: loop.call_soon_threadsafe(self._draw_truth, view, asked),
         )
 
     def _stop_truth(self) -> None:
@@ -526,8 +542,8 @@ class Page:
         self.start.set_enabled(True)
         self.cancel.set_enabled(False)
 
-    def _draw_truth(self, view: TruthView) -> None:
-        if self.truth is None or view.state is not self.truth.state:
+    def _draw_truth(self, view: TruthView, asked: int) -> None:
+        if self.truth is None or asked != self._asked:
             return
         self.progress.value = view.done / view.count
         self.judged.text = (
@@ -550,14 +566,16 @@ class Page:
             self.cancel.set_enabled(False)
 
 
-def _text(value: float) -> str:
-    return f"{value:.9g}"
+def _text(value: float | None) -> str:
+    return "auto" if value is None else f"{value:.9g}"
 
 
 def _parsed(each: Input, value: Any) -> Any:
     """A text that is a number, as one; anything else as it is, for the model to refuse."""
+    if each.word == "auto" and value == "auto":
+        return None
     try:
-        return float(value) if each.endless else value
+        return float(value) if each.word else value
     except (TypeError, ValueError):
         return value
 

@@ -8,7 +8,7 @@ import math
 import shlex
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import attrs
 import numpy as np
@@ -93,7 +93,7 @@ def put(state: State, path: Steps, value: Any) -> State:
     if isinstance(current, bool):
         if not isinstance(value, bool):
             raise ValueError(f"{path[-1]} = {value!r}: allowed is true or false")
-    elif isinstance(current, int | float):
+    elif isinstance(current, int | float | None) and not (value is None and _optional(state, path)):
         value = _number(path, value, whole=isinstance(current, int))
     try:
         return _put(state, path, value)
@@ -101,6 +101,14 @@ def put(state: State, path: Steps, value: Any) -> State:
         if path[:2] == ("scene", "objects"):
             raise ValueError(f"{get(state, (*path[:3], 'name'))}: {error}") from None
         raise
+
+
+def _optional(state: State, path: Steps) -> bool:
+    """Whether an input may be None."""
+    holder = get(state, path[:-1])
+    return attrs.has(type(holder)) and type(None) in get_args(
+        attrs.fields_dict(type(holder))[str(path[-1])].type
+    )
 
 
 def _number(path: Steps, value: Any, *, whole: bool) -> float | int:

@@ -7,6 +7,7 @@ import attrs
 import numpy as np
 import pytest
 
+from reports.view.inputs import groups
 from reports.view.state import History, State, command, get, invalidated, named, orbit, pan, put, zoom
 from scenes.load import load
 from scenes.save import save
@@ -25,6 +26,8 @@ CHANGES = [
     (CUBES, ("scene", "toggles", "ambient_occlusion"), False, ("ambient", "specular")),
     (CUBES, ("scene", "camera", "fov"), 50.0, TERMS),
     (CUBES, ("scene", "photons", "count"), 1000, ("direct", "specular")),
+    (CUBES, ("scene", "photons", "survival"), 0.5, ("direct", "specular")),
+    (CUBES, ("scene", "camera", "up", 0), 0.1, TERMS),
     (CUBES, ("scene", "max_bounces"), 1, ("specular",)),
     (CUBES, ("variants", "direct"), "path", ("direct",)),
     (CUBES, ("seed",), 5, TERMS),
@@ -56,6 +59,36 @@ def test_the_light_of_a_lamp_is_moved_and_scaled():
     np.testing.assert_allclose(get(moved, position), (7.0, *get(CUBES, position)[1:]), atol=1e-5)
 
 
+def leaves(thing, path):
+    """Paths of all values that a part of a scene consists of."""
+    if attrs.has(type(thing)):
+        for field in attrs.fields(type(thing)):
+            yield from leaves(getattr(thing, field.name), (*path, field.name))
+    elif isinstance(thing, tuple):
+        for number, item in enumerate(thing):
+            yield from leaves(item, (*path, number))
+    else:
+        yield path
+
+
+@pytest.mark.parametrize("name", ["two_cubes", "cornell_box", "monkey"])
+def test_every_field_of_a_scene_has_an_input(name):
+    """But for names, meshes and textures, which a file gives, and what an emitter or another sky would not show."""
+    state = State(load(name))
+    paths = [each.path for _, inputs in groups(state) for each in inputs]
+    assert len(set(paths)) == len(paths)
+    for path in paths:
+        get(state, path)
+    textured = state.scene.sky.texture is not None
+    for path in leaves(state.scene, ("scene",)):
+        words = [step for step in path if isinstance(step, str)]
+        emits = path[1] == "objects" and state.scene.objects[path[2]].emits
+        given = words[-1] in ("name", "texture", "exposure") or "mesh" in words
+        unseen = path[1] == "sky" and ("color" in words) == textured
+        black = path[1] == "objects" and ("material" in words) == emits
+        assert (path in paths) != (given or unseen or black), path
+
+
 REFUSED = [
     (GROUND + ("gloss",), 1.5, r"ground: gloss = 1\.5: allowed is a number in \[0, 1\]"),
     (GROUND + ("gloss",), math.nan, r"ground: gloss = nan: allowed is"),
@@ -72,6 +105,9 @@ REFUSED = [
     (("samples",), 0, r"samples = 0: allowed is a number in \[1, 1\.04858e\+06\]"),
     (("seed",), -1, r"seed = -1"),
     (("scene", "normals"), "face", r"normals = 'face': allowed is 'viewer' for direct next-event"),
+    (("scene", "photons", "survival"), 0.0, r"survival = 0\.0: allowed is a number in \(0, 1\]"),
+    (("scene", "photons", "survival"), "often", r"survival = 'often': allowed is a number"),
+    (("scene", "camera", "up"), (0.0, 0.0, 0.0), r"up = .*: allowed is a vector not parallel"),
     (("scene", "toggles", "lighting"), 1, r"lighting = 1: allowed is true or false"),
     (("variants", "direct"), "magic", r"variant = 'magic' of direct: allowed are"),
 ]
