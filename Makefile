@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane (each compiles kernels and renders) and of the audit: more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare variants bench stress test audit lint format clean distclean
+.PHONY: help install compare variants view bench stress test audit lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -28,6 +28,9 @@ compare: .venv/.installed ## Render, compare and report: SCENES="monkey two_cube
 # The study of a preset other than `standard` carries its name.
 variants: .venv/.installed ## Every estimator of the paper against what it converges to: PRESET=quick SCENES=monkey OUT=out
 	@.venv/bin/termwise compare $(SCENES) --study variants$(patsubst %,-%,$(filter-out standard,$(PRESET))) --out $(OUT)
+
+view: .venv/.installed ## All inputs on a local page, each term while it converges: SCENES=monkey OUT=out
+	@.venv/bin/termwise view $(firstword $(SCENES)) --out $(OUT)
 
 bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error, scaling, economies; OUT=out
 	@.venv/bin/termwise bench rays --out $(OUT)

@@ -18,8 +18,9 @@ from renderer.scratch import COUNTERS
 from renderer.terms import Chain, Variant
 from renderer.tiles import Engine, powers_of_two
 from scenes.limits import Limit
-from scenes.model import Scene
+from scenes.model import BLACK, Material, Object, Scene, Toggles
 from scenes.store import PROJECT, sources_digest, write_atomically
+from scenes.terms import Term
 
 # What cannot change a term's image; `scope` changes direct, and specular through it.
 _IRRELEVANT = {
@@ -28,6 +29,36 @@ _IRRELEVANT = {
     "specular": ("draw_lights",),
     "background": ("ambient", "photons", "scope", "max_bounces", "rings", "irradiance", "ignore", "normals"),
 }
+
+
+def content(scene: Scene, variant: Variant, *, chain: Chain) -> str:
+    """sha256 of what a term's image depends on in a scene: where it is equal, so is every byte of the image."""
+    term = variant.term
+    irrelevant = _IRRELEVANT[term]
+    if scene.shadows == "paper":  # then lights decide on the ambient term as well
+        irrelevant = tuple(field for field in irrelevant if field != "lights")
+    elif term != "specular":
+        scene = _plain(scene, term)
+    if variant.photons(scene, chain) is None:
+        irrelevant = (*irrelevant, "photons")
+    objects = tuple(attrs.evolve(thing, name=str(i)) for i, thing in enumerate(scene.objects))
+    return attrs.evolve(scene, objects=objects).digest(without=("name", "exposure", *irrelevant))
+
+
+def _plain(scene: Scene, term: Term) -> Scene:
+    """The scene with all at its default that a term other than specular cannot see of materials, lights and toggles."""
+    if scene.photons.scattering == "full" and term == "direct":
+        return scene
+    lit = term == "direct" or (term == "background" and scene.draw_lights)
+
+    def plain(thing: Object) -> Object:
+        share = BLACK if term == "background" else scene.diffuse_weight(thing.surface)
+        emission = thing.emission if lit or not thing.emits else (1.0, 1.0, 1.0)
+        return attrs.evolve(thing, material=Material(share), emission=emission)
+
+    occluded = term != "ambient" or scene.toggles.ambient_occlusion
+    toggles = Toggles(ambient_occlusion=occluded, lighting=scene.toggles.lighting or not lit)
+    return attrs.evolve(scene, objects=tuple(map(plain, scene.objects)), toggles=toggles)
 
 
 @attrs.frozen(eq=False)
@@ -68,14 +99,19 @@ class Cell:
 
 def key(scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain) -> str:
     """sha256 of all that decides a replicate's bits but its number."""
-    irrelevant = _IRRELEVANT[variant.term]
-    if scene.shadows == "paper":  # then lights decide on the ambient term as well
-        irrelevant = tuple(field for field in irrelevant if field != "lights")
-    content = scene.digest(without=("name", "exposure", *irrelevant))
     versions = [importlib.metadata.version(package) for package in ("numba", "numpy")]
     sources = sources_digest(PROJECT / "renderer", PROJECT / "scenes")
     used = chain if variant.term == "specular" else ""
-    settings = (content, variant.term, variant.name, samples, seed, used, versions, sources)
+    settings = (
+        content(scene, variant, chain=chain),
+        variant.term,
+        variant.name,
+        samples,
+        seed,
+        used,
+        versions,
+        sources,
+    )
     return hashlib.sha256(repr(settings).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""The command termwise: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, bench, stress.
+"""termwise: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, view, bench and stress.
 
 Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`; of `diff`, something became
 worse; of `stress`, a row failed); 2: bad input, or a run, or one of its scenes, that could not end. With --json one
@@ -515,7 +515,7 @@ def render(
     scene: str,
     *,
     term: str | None = None,
-    variant: str | None = None,
+    variant: list[str] | None = None,
     samples: Integer = 16,
     replicates: Integer = 1,
     seed: Integer = 0,
@@ -534,7 +534,7 @@ def render(
     term
         ambient, direct, specular or background; without it all four and their sum.
     variant
-        An estimator of the term; its default if not given.
+        An estimator of the term, its default if not given. Without --term: TERM=NAME, once for each term.
     samples
         Samples per pixel and replicate; powers of two are best.
     replicates
@@ -559,18 +559,22 @@ def render(
     _check_seed(seed)
     folder = _folder(out / "render")
     terms = TERMS if term is None else (term,)
-    if term is None and variant is not None:
-        raise ValueError(f"variant = {variant!r}: allowed is a variant of one term; give --term too")
+    variants = _variants(terms, variant or []) if term is None else _variant(term, variant or [])
     found = renderer.render_terms(
         described,
-        dict.fromkeys(terms, variant),
+        variants,
         samples=samples,
         replicates=replicates,
         seed=seed,
         threads=threads,
         adaptive=adaptive,
     )
-    settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": variant or "default"}
+    settings = {
+        "samples": samples,
+        "replicates": replicates,
+        "seed": seed,
+        "variant": " ".join(variant or ["default"]),
+    }
     return _write_images(described, found, folder, settings | {"adaptive": adaptive}, json_)
 
 
@@ -727,6 +731,36 @@ def scenes(*, json_: Annotated[Json, Parameter(name="--json")] = False) -> int:
         values = (row["objects"], row["triangles"], row["lights"], row["scope"], row["max_bounces"])
         table.add_row(row["name"], *map(str, values))
     _output.print(table)
+    return 0
+
+
+@app.command
+def view(
+    scene: str = "two_cubes",
+    *,
+    port: Annotated[int | None, _whole] = None,
+    browser: bool = True,
+    out: Path = Path("out"),
+) -> int:
+    """Open a local page on which every input is set and each term is watched while it converges.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    port
+        Of 127.0.0.1; a free one if not given.
+    browser
+        Open it in a browser.
+    out
+        What is saved goes to OUT/view, nothing elsewhere.
+    """
+    from reports.view.page import serve
+
+    def announce(address: str) -> None:
+        _output.print(f"termwise view: {address} (Ctrl-C ends it)", highlight=False)
+
+    serve(scene, out / "view", port=port, browser=browser, announce=announce)
     return 0
 
 
@@ -1028,6 +1062,84 @@ def economies(
     )
     _print_machine(measured["machine"])
     return 1 if failed else 0
+
+
+@bench.command(name="view")
+def bench_view(
+    *,
+    scene: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    changes: Integer = 30,
+    memory_changes: Integer = 1000,
+    resolution: Integer = 256,
+    threads: Annotated[int | None, _whole] = None,
+    out: Path = Path("out"),
+    quiet: Quiet = False,
+    json_: Annotated[Json, Parameter(name="--json")] = False,
+) -> int:
+    """Measure how long a changed input takes to be seen on the page of `termwise view`, and whether memory stays.
+
+    Parameters
+    ----------
+    scene
+        two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
+    changes
+        Of each input; their median counts.
+    memory_changes
+        Changes of all inputs in turn, over which memory is measured.
+    resolution
+        Pixels of a side of the square image.
+    threads
+        Threads; one per core if not given.
+    out
+        The numbers go to OUT/bench/view.json.
+    quiet
+        No progress on standard error.
+    json_
+        Print them on standard output.
+    """
+    from reports.bench import view as of_view
+    from reports.page import bench as page
+
+    measured = _measured(
+        out / "bench",
+        "view",
+        lambda report: of_view.measure(
+            scenes=tuple(scene or ()),
+            changes=changes,
+            memory_changes=memory_changes,
+            resolution=resolution,
+            threads=threads,
+            report=report,
+        ),
+        page.write,
+        quiet=quiet or json_,
+    )
+    if json_:
+        print(json.dumps(measured))
+        return 0
+    columns = ("scene", "input", "seconds", "spread", "previews")
+    table = Table(*columns, box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for case in measured["cases"]:
+        table.add_row(
+            case["scene"],
+            case["input"],
+            f"{case['seconds']:.3f}",
+            f"{case['seconds_low']:.3f}-{case['seconds_high']:.3f}",
+            f"{case['previews']} of {case['changes']}",
+        )
+    _output.print(table)
+    memory = measured["memory"]
+    said = " and ".join(
+        f"{megabytes:.0f} MB after {count}"
+        for count, megabytes in zip(memory["changes"], memory["megabytes"], strict=True)
+    )
+    _output.print(
+        f"From a change to the first picture, {resolution} x {resolution} pixels; a preview has a quarter of them. "
+        f"Memory: {said} changes of {memory['scene']}.",
+        soft_wrap=True,
+    )
+    _print_machine(measured["machine"])
+    return 0
 
 
 @app.command

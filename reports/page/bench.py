@@ -8,7 +8,7 @@ import jinja2
 
 from reports.page import charts, copy_static, page_environment, render_page
 
-NAMES = ("terms", "rays", "scaling", "economies")
+NAMES = ("terms", "rays", "scaling", "economies", "view")
 
 
 def write(folder: Path) -> Path:

@@ -106,6 +106,9 @@ def test_spread_is_median_and_ends():
         (["rays", "--mesh", "teapot"], ["mesh = 'teapot'", "boxes"]),
         (["rays", "--pairs", "0"], ["pairs = 0", "at least 1"]),
         (["rays", "--count", "0"], ["count = 0", "at least 1"]),
+        (["view", "--scene", "teapot"], ["scene = 'teapot'", "two_cubes", "monkey"]),
+        (["view", "--changes", "0"], ["changes = 0", "at least 1"]),
+        (["view", "--memory-changes", "0"], ["memory_changes = 0", "at least 1"]),
     ],
 )
 def test_bad_input_is_one_line(arguments, named, monkeypatch, capsys, tmp_path):
@@ -223,13 +226,23 @@ def made(folder, *names):
             ],
             "settings": {"batches": 4},
         },
+        "view": {
+            "cases": [
+                {"scene": "monkey", "input": "light", "seconds": 0.12, "seconds_low": 0.1, "seconds_high": 0.34}
+                | {"previews": 3, "changes": 30}
+            ],
+            "memory": {"scene": "monkey", "resolution": 32, "changes": [100, 1000], "megabytes": [251.0, 252.0]},
+            "settings": {"resolution": 256, "changes": 30},
+        },
     }  # fmt: skip
     for name in names:
         text = json.dumps(found[name] | {"machine": MACHINE, "command": f"termwise bench {name}"})
         (folder / f"{name}.json").write_text(text)
 
 
-@pytest.mark.parametrize("names", [("terms",), ("rays",), ("scaling",), ("economies",), page.NAMES])
+@pytest.mark.parametrize(
+    "names", [("terms",), ("rays",), ("scaling",), ("economies",), ("view",), page.NAMES]
+)
 def test_the_page_shows_whatever_exists(names, tmp_path):
     made(tmp_path, *names)
     text = page.write(tmp_path).read_text("utf-8")
@@ -250,12 +263,16 @@ def test_the_page_shows_whatever_exists(names, tmp_path):
     if "economies" in names:
         assert "0.62" in text
         assert "EQUIVALENT" in text
+    if "view" in names:
+        assert "3 of 30" in text
+        assert "252&#8239;MB after 1\u202f000 changes of monkey" in text
     assert (tmp_path / "plotly.min.js").is_file() == (tmp_path / "charts.js").is_file() is True
 
 
 def test_an_empty_folder_or_a_broken_file_is_refused(tmp_path):
     with pytest.raises(
-        ValueError, match=r"no benchmark: allowed are terms.json, rays.json, scaling.json, economies.json"
+        ValueError,
+        match=r"no benchmark: allowed are terms.json, rays.json, scaling.json, economies.json, view.json",
     ):
         page.write(tmp_path)
     (tmp_path / "rays.json").write_text("{")

@@ -8,6 +8,7 @@ import attrs
 import numpy as np
 import pytest
 
+from renderer import DEFAULTS, render
 from renderer.scratch import COUNTERS
 from renderer.terms import VARIANTS
 from reports import cells
@@ -202,6 +203,50 @@ def test_the_name_ignores_what_does_not(scene: Scene):
         assert _key(scene, chain="next-event") == _key(scene)
     assert _key(attrs.evolve(scene, lights=(lamp,)), "direct", "path") != _key(scene, "direct", "path")
     assert _key(scene, "specular", "vndf", chain="next-event") != _key(scene, "specular", "vndf")
+
+
+def _painted(scene: Scene, **changes: Any) -> Scene:
+    """The scene, its first object's material changed."""
+    first = scene.objects[0]
+    material = attrs.evolve(first.material, **changes)
+    return attrs.evolve(scene, objects=(attrs.evolve(first, material=material), *scene.objects[1:]))
+
+
+def _dimmed(scene: Scene) -> Scene:
+    things = (attrs.evolve(thing, emission=tuple(x / 2 for x in thing.emission)) for thing in scene.objects)
+    return attrs.evolve(scene, objects=tuple(things))
+
+
+def _switched(scene: Scene, **changes: bool) -> Scene:
+    return attrs.evolve(scene, toggles=attrs.evolve(scene.toggles, **changes))
+
+
+# A change, and the terms that it cannot touch; specular meets the others at its vertices.
+UNTOUCHED: dict[str, tuple[Callable[[Scene], Scene], tuple[str, ...]]] = {
+    "roughness": (lambda scene: _painted(scene, roughness=0.9), ("ambient", "direct", "background")),
+    "gloss": (lambda scene: _painted(scene, gloss=0.25), ("background",)),
+    "light": (_dimmed, ("ambient", "background")),
+    "occlusion": (lambda scene: _switched(scene, ambient_occlusion=False), ("direct", "background")),
+    "lighting": (lambda scene: _switched(scene, lighting=False), ("ambient", "background")),
+    "names": (
+        lambda scene: attrs.evolve(
+            scene, objects=tuple(attrs.evolve(thing, name=thing.name[::-1]) for thing in scene.objects)
+        ),
+        ("ambient", "direct", "specular", "background"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", UNTOUCHED)
+def test_equal_names_mean_equal_bytes(change: str):
+    scene = attrs.evolve(load("two_cubes"), resolution=(4, 4), photons=Photons(count=50, radius=0.5))
+    changed, untouched = UNTOUCHED[change][0](scene), UNTOUCHED[change][1]
+    for term, name in DEFAULTS.items():
+        same = _key(changed, term, name) == _key(scene, term, name)
+        assert same == (term in untouched), term
+        if same:
+            images = [render(each, term, samples=2, seed=3).mean for each in (scene, changed)]
+            assert images[0].tobytes() == images[1].tobytes()
 
 
 def test_the_name_follows_the_sources(scene: Scene, monkeypatch: pytest.MonkeyPatch):

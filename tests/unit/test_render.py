@@ -618,3 +618,16 @@ def test_variance_is_that_of_the_mean(compiled):
     np.testing.assert_allclose(image.mean, np.mean(single, axis=0), rtol=1e-15)
     np.testing.assert_allclose(image.variance, np.var(single, axis=0, ddof=1) / 5, rtol=1e-12)
     assert np.isnan(render(scene, "ambient", samples=1).variance).all()
+
+
+def test_counts_that_are_asked_for_change_no_bit(compiled):
+    """The first N samples are the first N samples, whatever other N are looked at."""
+    scene = attrs.evolve(load("two_cubes"), resolution=(8, 6) if compiled else (3, 2))
+    for term in TERMS:
+        with Engine(scene, threads=1) as engine:
+            asked = list(
+                engine.prefixes(renderer.find(term), samples=5, seed=1, replicate=0, counts=iter((1, 3, 5)))
+            )
+        assert [count for count, _, _ in asked] == [1, 3, 5]
+        for count, image, _ in asked:
+            assert image.tobytes() == render(scene, term, samples=count, seed=1).mean.tobytes()

@@ -1,0 +1,106 @@
+"""`save(scene, path)`: a scene as a file that `load` reads back with the same digest.
+
+Only fields that differ from their default are written. A parallelogram stays a `rectangle` where its corners come out
+the same to the bit; other meshes go as binary PLY, a sky's texture as OpenEXR, into the folder `NAME.files` beside it.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import OpenEXR
+import tomli_w
+import trimesh
+
+from scenes.load import load
+from scenes.model import Ambient, Material, Mesh, Object, Photons, Scene, Sky, Toggles
+from scenes.store import write_atomically
+
+_QUAD = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def save(scene: Scene, path: Path) -> None:
+    """Write a scene; all files appear whole or not at all, the TOML file last.
+
+    Raises
+    ------
+    ValueError
+        The name does not end in .toml, or is one that would not be read back.
+    """
+    if path.suffix != ".toml" or path.stem.startswith("."):
+        raise ValueError(f"{path}: allowed is a name that ends in .toml")
+    files = path.with_suffix(".files")
+    table: dict[str, Any] = {}
+    for field in attrs.fields(Scene):
+        value = getattr(scene, field.name)
+        if field.name in ("name", "camera", "objects", "lights", "ambient", "sky", "photons", "toggles"):
+            continue
+        if value != field.default:
+            table[field.name] = _plain(value)
+    camera = {name: _plain(value) for name, value in attrs.asdict(scene.camera).items()}
+    table["camera"] = camera
+    for name, default in (("ambient", Ambient()), ("photons", Photons()), ("toggles", Toggles())):
+        if changed := _changed(getattr(scene, name), default):
+            table[name] = changed
+    if sky := _sky(scene.sky, files):
+        table["sky"] = sky
+    table["objects"] = [_object(thing, number, files) for number, thing in enumerate(scene.objects)]
+    table["lights"] = [
+        {"position": list(light.position), "intensity": list(light.intensity)} for light in scene.lights
+    ]
+    text = tomli_w.dumps({name: value for name, value in table.items() if value != []})
+    write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
+    assert load(path).digest() == scene.digest(), path
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _changed(value: Any, default: Any) -> dict[str, Any]:
+    """Fields of a flat value that differ from the default's."""
+    fields = ((field.name, getattr(value, field.name)) for field in attrs.fields(type(value)))
+    return {name: _plain(item) for name, item in fields if item != getattr(default, name)}
+
+
+def _sky(sky: Sky, files: Path) -> dict[str, Any]:
+    table = {
+        name: _plain(getattr(sky, name))
+        for name in ("center", "radius", "projection")
+        if getattr(sky, name) != getattr(Sky(), name)
+    }
+    if sky.texture is None:
+        return {"color": list(sky.color), **table} if table or any(sky.color) else {}
+    pixels = sky.texture
+    described = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+
+    def write(temporary: Path) -> None:
+        OpenEXR.File(described, {"RGB": pixels}).write(str(temporary))
+
+    write_atomically(files / "sky.exr", write)
+    return {"texture": f"{files.name}/sky.exr", **table}
+
+
+def _object(thing: Object, number: int, files: Path) -> dict[str, Any]:
+    table: dict[str, Any] = {"name": thing.name, **_shape(thing.mesh, number, files)}
+    if thing.mesh.normals is not None:
+        table["normals"] = "smooth"
+    table |= _changed(thing.material, Material())
+    if thing.emits:
+        table["emission"] = list(thing.emission)
+    return table
+
+
+def _shape(mesh: Mesh, number: int, files: Path) -> dict[str, Any]:
+    if np.array_equal(mesh.faces, _QUAD) and len(mesh.vertices) == 4:
+        origin, first, _, last = mesh.vertices
+        edges = first - origin, last - origin
+        corners = origin, origin + edges[0], origin + edges[0] + edges[1], origin + edges[1]
+        if np.array_equal(np.array(corners, np.float32), mesh.vertices):
+            return {"shape": "rectangle", "origin": origin.tolist(), "edges": [e.tolist() for e in edges]}
+    name = f"{number:02d}.ply"
+    content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type="ply")
+    assert isinstance(content, bytes)
+    write_atomically(files / name, lambda temporary: temporary.write_bytes(content))
+    return {"shape": "mesh", "file": f"{files.name}/{name}"}
