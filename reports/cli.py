@@ -1268,6 +1268,26 @@ def _choose_backend(requested: str | None) -> str:
     return backend.choose(requested).variant
 
 
+def _variant(term: str, given: list[str]) -> dict[str, str | None]:
+    """The estimator of one term."""
+    if len(given) > 1:
+        raise ValueError(f"variant = {', '.join(given)}: allowed is one with term = {term!r}")
+    return {term: given[0] if given else None}
+
+
+def _variants(terms: tuple[str, ...], given: list[str]) -> dict[str, str | None]:
+    """The estimator of each term, from words TERM=NAME."""
+    chosen: dict[str, str | None] = dict.fromkeys(terms)
+    for word in given:
+        term, equals, name = word.partition("=")
+        if not equals or term not in terms:
+            raise ValueError(
+                f"variant = {word!r}: allowed is TERM=NAME, or NAME with --term; terms are {', '.join(terms)}"
+            )
+        chosen[term] = name
+    return chosen
+
+
 def _scene(name: str, resolution: tuple[int, int] | None) -> Any:
     scene = load(name)
     return scene if resolution is None else attrs.evolve(scene, resolution=resolution)

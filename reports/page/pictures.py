@@ -94,7 +94,7 @@ def rise(values: np.ndarray, *, low: float, high: float) -> np.ndarray:
     """(H, W, 3) uint8 colours of numbers (H, W) above 0, by their logarithm from dark to bright; grey where NaN."""
     place = np.log(np.where(np.isfinite(values), values, low) / low) / np.log(high / low)
     shown = np.stack([np.interp(place, np.linspace(0, 1, len(_RISING)), c) for c in _RISING.T], axis=-1)
-    return np.where(np.isfinite(values)[..., None], np.round(shown).astype(np.uint8), np.uint8(_NOTHING))
+    return np.where(np.isfinite(values)[..., None], np.round(shown).astype(np.uint8), np.uint8(NOTHING))
 
 
 def p_map(
