@@ -26,6 +26,7 @@ from rich.table import Table
 from reports import progress
 from reports.progress import Report
 from scenes.load import library, load
+from scenes.store import write_atomically
 from scenes.strict import FileError
 from scenes.terms import TERMS
 
@@ -1227,7 +1228,8 @@ def _measured(
     with progress.stages(_messages, quiet=quiet) as stage:
         measured = measure(stage(name.capitalize()))
     measured["command"] = _command()
-    (folder / f"{name}.json").write_text(json.dumps(measured, indent=1), "utf-8")
+    text = json.dumps(measured, indent=1)
+    write_atomically(folder / f"{name}.json", lambda path: path.write_text(text, "utf-8"))
     write(folder)
     return measured
 

@@ -83,7 +83,7 @@ def _drawn(cases: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
         path = folder / f"{name.replace(',', '').replace(' ', '-')}.png"
         pictures.save(path, pictures.rise(values, low=low, high=high))
         three = (float(of(values)) for of in (np.nanmin, np.nanmedian, np.nanmax))
-        rows.append((name, f"pictures/{path.name}", *three))
+        rows.append((name.removesuffix(", median"), f"pictures/{path.name}", *three))
     return {"rows": rows, "low": low, "high": high, "colours": sequential.Viridis}
 
 

@@ -8,10 +8,11 @@ signs at 2^-30, where rounding is next to nothing, say how much: the `growth` is
 that at 2^-30. It is about 1 where inputs alone matter, large where an algorithm cancels, as `sqrt(1 - sin²)` does for a
 cosine near 0, and small where a number with fewer digits does not feel 2^-52. A row's figure is it or its inverse.
 
-Of a backward stable algorithm with 64 roundings, each as if half of a perturbation of an input at a random sign, the
-growth is `sqrt(1 + 64 / 4)`, the limit of its median; that of the 99.9 % quantile is larger by the root of that of
-F(7, 7), the ratio of two variances of 8 draws. A pixel that changes by more than 2^-12 of itself has a sample that goes
-another way; these are counted apart. What is to be expected: the paper's estimators compute as ours do.
+Of a backward stable algorithm with 64 roundings on each of two rays, the camera's and the light's, every one as if half
+of a perturbation of an input at a random sign, the growth is `sqrt(1 + 2 64 / 4)`, the limit of its median; that of the
+99.9 % quantile is larger by the root of that of F(7, 7), the ratio of two variances of 8 draws. A pixel that changes by
+more than 2^-12 of itself has a sample that goes another way; these are counted apart. What is to be expected: the
+paper's estimators compute as ours do.
 """
 
 import functools
@@ -34,7 +35,7 @@ from scenes.model import Mesh, Scene
 UNIT, LEVER = 2.0**-52, 2.0**-30
 DRAWS = 8
 FLIP = 2.0**-12
-MEDIAN = math.sqrt(1.0 + 64 / 4)
+MEDIAN = math.sqrt(1.0 + 2 * 64 / 4)
 HIGH = MEDIAN * math.sqrt(stats.f.ppf(0.999, DRAWS - 1, DRAWS - 1))
 _PASSES = 4
 _SAMPLES = 16
