@@ -449,6 +449,27 @@ def test_flip_map_is_black_where_nothing_differs_and_bright_where_all_does(view)
     assert dark.mean() < 0.6 * other.mean()
 
 
+def test_flip_map_is_greyed_where_the_exposure_is_another(view):
+    page = view("#term=direct&beside=flip")
+    caption, panel = page.locator("#right + figcaption"), page.locator("#right")
+    opacity = "(canvas) => Number(getComputedStyle(canvas).opacity)"
+    assert "+0.0 EV, sRGB" in caption.inner_text()
+    assert panel.evaluate(opacity) == 1
+    for change, undo in (("e", "E"), ("g", None)):
+        page.locator("h1").click()
+        page.keyboard.press(change)
+        ready(page)
+        assert "not that of the pictures shown" in caption.inner_text()
+        assert panel.evaluate(opacity) < 0.5
+        if undo:
+            page.keyboard.press(undo)
+            ready(page)
+            assert panel.evaluate(opacity) == 1
+    page.get_by_role("group", name="Beside it").get_by_label("signed error").check()
+    ready(page)
+    assert panel.evaluate(opacity) == 1
+
+
 def test_keys_and_controls_change_the_view_and_the_address_restores_it(view, context):
     page = view("#term=ambient")
     caption = page.locator("#left + figcaption")
@@ -584,11 +605,29 @@ def test_a_single_file_holds_every_page(context, run, tmp_path):
     frame.locator(".plot .main-svg").first.wait_for()
     assert frame.locator("img").first.evaluate("(image) => image.naturalWidth") == SIZE
     frame.get_by_role("link", name="Look at the pixels").click()
+    frame.get_by_role("combobox", name="Term").select_option("ambient")
     frame.locator("#viewer[data-state=ready]").wait_for()
     its.page.keyboard.press("Tab")
     frame.locator("#left").click()
     assert frame.locator("#inspector tbody tr").count() == 4
+    frame.get_by_role("slider", name="Exposure").fill("1.5")
+    frame.get_by_role("group", name="Picture").get_by_label("paper").check()
+    frame.locator("#viewer[data-state=ready]").wait_for()
+    link, caption = its.page.url, frame.locator("#left + figcaption").inner_text()
+    assert "ours, paper" in caption
     assert its.complaints == []
+    again = opened(context, link)
+    frame = again.page.frame_locator("#page")
+    frame.locator("#viewer[data-state=ready]").wait_for()
+    assert frame.locator("#left + figcaption").inner_text() == caption
+    assert frame.locator("output[for=ev]").inner_text() == "+1.5 EV"
+    assert frame.locator("#inspector tbody tr").count() == 4
+    frame.get_by_role("link", name="Verdicts and charts").click()
+    frame.locator(".plot .main-svg").first.wait_for()
+    again.page.go_back()
+    frame.locator("#viewer[data-state=ready]").wait_for()
+    assert frame.locator("output[for=ev]").inner_text() == "+1.5 EV"
+    assert again.complaints == []
 
 
 @pytest.mark.parametrize("width", [800, 1300])
