@@ -346,7 +346,7 @@ function converge(pixel) {
   for (const each of valid) svg.append(element("circle", { class: "ours", cx: x(each.n), cy: y(each.mean), r: 3 }));
   for (const n of samples) svg.append(element("text", { x: x(n), y: SVG.height - SVG.bottom + 16, "text-anchor": "middle" }, n));
   const digits = Math.min(Math.max(2, Math.ceil(1 - Math.log10((high - low) / Math.max(Math.abs(high), Math.abs(low)))) + 1), 7);
-  for (const value of [low, (low + high) / 2, high]) svg.append(element("text", { x: SVG.left - 8, y: y(value) + 4, "text-anchor": "end" }, number(Number(value.toPrecision(digits)))));
+  for (const value of [low, (low + high) / 2, high]) svg.append(element("text", { x: SVG.left - 8, y: y(value) + 4, "text-anchor": "end" }, value === 0 ? "0" : value.toPrecision(digits).replaceAll("-", "−")));
   svg.append(element("text", { x: (SVG.left + SVG.width - SVG.right) / 2, y: SVG.height - 4, "text-anchor": "middle" }, "samples per pixel and replicate"));
   svg.setAttribute("aria-label", `Luminance of the tile: ${samples.map((n, index) => `${number(ours[index].mean)} after ${n}`).join(", ")}; reference ${number(right.mean)}`);
   const range = (from, size) => `${from}–${Math.min(from + side, size) - 1}`;
