@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -113,7 +114,7 @@ def tile_tests(rng: np.random.Generator) -> dict[str, tuple[tuple[str, ...], np.
 SAMPLES = [(1, 2, 4, 8, 16)] * 2 + [(1, 2, 4, 0, 0)] + [(0,) * 5]
 
 
-def sweeps(rng: np.random.Generator) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+def sweeps(rng: np.random.Generator) -> dict[str, Any]:
     """Tiles of each cell after its samples; the references' replicates in the same tiles, cut by an object."""
     objects = np.arange(SIZE) // 12 % 2 - np.ones((SIZE, 1), int)
     pieces = microscope.pieces(objects)
