@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -113,7 +114,7 @@ def tile_tests(rng: np.random.Generator) -> dict[str, tuple[tuple[str, ...], np.
 SAMPLES = [(1, 2, 4, 8, 16)] * 2 + [(1, 2, 4, 0, 0)] + [(0,) * 5]
 
 
-def sweeps(rng: np.random.Generator) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+def sweeps(rng: np.random.Generator) -> dict[str, Any]:
     """Tiles of each cell after its samples; the references' replicates in the same tiles, cut by an object."""
     objects = np.arange(SIZE) // 12 % 2 - np.ones((SIZE, 1), int)
     pieces = microscope.pieces(objects)
@@ -177,6 +178,16 @@ def run(tmp_path_factory) -> Path:
         (folder / "images").mkdir(exist_ok=True)
         images.write_exr(folder / "images" / f"{scene}.exr", parts, {})
         described[scene] = {"resolution": [SIZE, SIZE], "exposure": 0.8, "scope": "all", "digest": "3f" * 32}
+        described[scene]["plan"] = [
+            {
+                "term": "direct",
+                "work": "photons",
+                "kind": "skip",
+                "reason": "no light",
+                "saved": {},
+                "at_most": False,
+            }
+        ]
         for term, variant in CELLS:
             common = {"scene": scene, "term": term, "variant": variant, "kind": "right", "scope": "all"}
             for samples in (1, 2, 4, 8, 16):
@@ -190,6 +201,10 @@ def run(tmp_path_factory) -> Path:
                 "bias_high": 0.003, "standard_error": 0.001, "detectable_bias": 0.004, "ssim": 0.99,
                 "reference_replicates": REFERENCE_REPLICATES, "reference_samples": 32, "tests": 9,
                 "margin": 0.01, "allowance": 0.0, "reference_seconds": 2.0,
+                "channels": [
+                    {"region": "image", "channel": name, "bias": 0.001, "low": -0.001, "high": 0.003}
+                    for name in ("red", "green", "blue")
+                ],
                 "tiles": [
                     {
                         "side": side, "tiles": 9, "tested": 4, "holm": 1, "benjamini_hochberg": 2, "fraction": 0.5,
@@ -449,6 +464,27 @@ def test_flip_map_is_black_where_nothing_differs_and_bright_where_all_does(view)
     assert dark.mean() < 0.6 * other.mean()
 
 
+def test_flip_map_is_greyed_where_the_exposure_is_another(view):
+    page = view("#term=direct&beside=flip")
+    caption, panel = page.locator("#right + figcaption"), page.locator("#right")
+    opacity = "(canvas) => Number(getComputedStyle(canvas).opacity)"
+    assert "+0.0 EV, sRGB" in caption.inner_text()
+    assert panel.evaluate(opacity) == 1
+    for change, undo in (("e", "E"), ("g", None)):
+        page.locator("h1").click()
+        page.keyboard.press(change)
+        ready(page)
+        assert "not that of the pictures shown" in caption.inner_text()
+        assert panel.evaluate(opacity) < 0.5
+        if undo:
+            page.keyboard.press(undo)
+            ready(page)
+            assert panel.evaluate(opacity) == 1
+    page.get_by_role("group", name="Beside it").get_by_label("signed error").check()
+    ready(page)
+    assert panel.evaluate(opacity) == 1
+
+
 def test_keys_and_controls_change_the_view_and_the_address_restores_it(view, context):
     page = view("#term=ambient")
     caption = page.locator("#left + figcaption")
@@ -584,11 +620,29 @@ def test_a_single_file_holds_every_page(context, run, tmp_path):
     frame.locator(".plot .main-svg").first.wait_for()
     assert frame.locator("img").first.evaluate("(image) => image.naturalWidth") == SIZE
     frame.get_by_role("link", name="Look at the pixels").click()
+    frame.get_by_role("combobox", name="Term").select_option("ambient")
     frame.locator("#viewer[data-state=ready]").wait_for()
     its.page.keyboard.press("Tab")
     frame.locator("#left").click()
     assert frame.locator("#inspector tbody tr").count() == 4
+    frame.get_by_role("slider", name="Exposure").fill("1.5")
+    frame.get_by_role("group", name="Picture").get_by_label("paper").check()
+    frame.locator("#viewer[data-state=ready]").wait_for()
+    link, caption = its.page.url, frame.locator("#left + figcaption").inner_text()
+    assert "ours, paper" in caption
     assert its.complaints == []
+    again = opened(context, link)
+    frame = again.page.frame_locator("#page")
+    frame.locator("#viewer[data-state=ready]").wait_for()
+    assert frame.locator("#left + figcaption").inner_text() == caption
+    assert frame.locator("output[for=ev]").inner_text() == "+1.5 EV"
+    assert frame.locator("#inspector tbody tr").count() == 4
+    frame.get_by_role("link", name="Verdicts and charts").click()
+    frame.locator(".plot .main-svg").first.wait_for()
+    again.page.go_back()
+    frame.locator("#viewer[data-state=ready]").wait_for()
+    assert frame.locator("output[for=ev]").inner_text() == "+1.5 EV"
+    assert again.complaints == []
 
 
 @pytest.mark.parametrize("width", [800, 1300])
@@ -603,12 +657,19 @@ def test_axe_finds_nothing_serious(browser, run, name, scheme, width):
     page = opened(context, (run / name).as_uri()).page
     if "viewer" in name:
         ready(page)
-        page.locator("summary").click()
     page.add_script_tag(content=AXE.read_text("utf-8"))
-    found = page.evaluate("axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa']})")
+    page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+    rules = (
+        "{runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa'], rules: {'landmark-unique': {enabled: true}}}"
+    )
+    found = page.evaluate(f"axe.run(document, {rules})")
     overflow = page.evaluate("document.documentElement.scrollWidth - innerWidth")
     context.close()
-    assert found["passes"]
-    serious = [each for each in found["violations"] if each["impact"] in ("serious", "critical")]
+    assert "landmark-unique" in {each["id"] for each in found["passes"] + found["violations"]}
+    serious = [
+        each
+        for each in found["violations"]
+        if each["impact"] in ("serious", "critical") or each["id"] == "landmark-unique"
+    ]
     assert [(each["id"], [node["target"] for node in each["nodes"]][:3]) for each in serious] == []
     assert overflow <= 0

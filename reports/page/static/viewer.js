@@ -273,7 +273,7 @@ function inspect() {
 }
 
 function tileWords([x, y]) {
-  if (!tested()) return untested();
+  if (!tested()) return ""; // the caption says so
   const { side } = state;
   const found = tiles();
   const [column, row] = [Math.floor(x / side), Math.floor(y / side)];
@@ -346,7 +346,7 @@ function converge(pixel) {
   for (const each of valid) svg.append(element("circle", { class: "ours", cx: x(each.n), cy: y(each.mean), r: 3 }));
   for (const n of samples) svg.append(element("text", { x: x(n), y: SVG.height - SVG.bottom + 16, "text-anchor": "middle" }, n));
   const digits = Math.min(Math.max(2, Math.ceil(1 - Math.log10((high - low) / Math.max(Math.abs(high), Math.abs(low)))) + 1), 7);
-  for (const value of [low, (low + high) / 2, high]) svg.append(element("text", { x: SVG.left - 8, y: y(value) + 4, "text-anchor": "end" }, number(Number(value.toPrecision(digits)))));
+  for (const value of [low, (low + high) / 2, high]) svg.append(element("text", { x: SVG.left - 8, y: y(value) + 4, "text-anchor": "end" }, value === 0 ? "0" : value.toPrecision(digits).replaceAll("-", "−")));
   svg.append(element("text", { x: (SVG.left + SVG.width - SVG.right) / 2, y: SVG.height - 4, "text-anchor": "middle" }, "samples per pixel and replicate"));
   svg.setAttribute("aria-label", `Luminance of the tile: ${samples.map((n, index) => `${number(ours[index].mean)} after ${n}`).join(", ")}; reference ${number(right.mean)}`);
   const range = (from, size) => `${from}–${Math.min(from + side, size) - 1}`;
@@ -394,7 +394,7 @@ const EXPLAINED = {
   relative: "Ours − reference, luminance, of the reference’s pixel",
   deviations: "Ours − reference over its standard error, of the channel where it is greatest",
   p: "Tiles with a bias of luminance: coloured as found by Benjamini-Hochberg (adjusted p ≤ 0.05), outlined as found by Holm; light grey not found, dark grey nothing on either side",
-  flip: "FLIP, as displayed at the scene’s exposure",
+  flip: "FLIP of both as displayed at the scene’s exposure (+0.0 EV, sRGB)",
 };
 
 // Controls
@@ -411,6 +411,9 @@ function choices(id, entries, chosen, act) {
     box.append(label);
   }
 }
+
+// FLIP is of pictures as displayed, and stored for one display.
+const stale = () => state.beside === "flip" && Boolean(pair()?.flip) && (state.ev !== 0 || state.curve !== "srgb");
 
 // A choice keeps its focus: boxes are made again only if their entries changed.
 const made = {};
@@ -450,6 +453,12 @@ function controls() {
 }
 
 // State, address, drawing
+// A page within a single file has no address of its own: the file keeps what the view is.
+const link = window.termwiseLink ?? {
+  read: () => location.hash.slice(1),
+  write: (view) => history.replaceState(null, "", `#${view}`),
+};
+
 function valid(wanted) {
   const next = { ...state, ...wanted };
   if (!(next.term in viewed.terms)) next.term = START.term;
@@ -479,13 +488,12 @@ function change(wanted) {
   const start = { ...START, variant: variants()[0].name };
   for (const [key, value] of Object.entries(state))
     if (value !== null && String(value) !== String(start[key])) written.set(key, typeof value === "number" ? String(Number(value.toFixed(3))) : String(value));
-  const address = written.size ? `#${written.toString().replaceAll("%2C", ",")}` : "#";
-  try { history.replaceState(null, "", address); } catch { /* a page within a single file has no address of its own */ }
+  link.write(written.toString().replaceAll("%2C", ","));
   draw();
 }
 
 function restore() {
-  const read = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+  const read = Object.fromEntries(new URLSearchParams(link.read()));
   for (const key of ["side", "ev", "gamma", "at", "zoom", "x", "y"]) if (key in read) read[key] = parseFloat(read[key]);
   if ("split" in read) read.split = read.split === "true";
   if ("pixel" in read) read.pixel = read.pixel.split(",").map(Number);
@@ -526,8 +534,10 @@ async function draw() {
   const count = state.split ? 2 : 1;
   surfaces = [order.slice(0, count).map((make) => make()), [surface(map())]];
   caption(find("left"), state.split ? `Left ${words[0]}; right ${words[1]}` : words[0]);
+  find("right").classList.toggle("stale", stale());
   if (state.beside === "reference") caption(find("right"), name(state.against));
   else if (state.beside === "p") caption(find("right"), untested() ? `No p-map: ${untested()}` : EXPLAINED.p, untested() ? null : "p");
+  else if (stale()) caption(find("right"), `${EXPLAINED.flip}: not that of the pictures shown now. Reset exposure and curve to see it`, "flip");
   else caption(find("right"), pair().flip || state.beside !== "flip" ? EXPLAINED[state.beside] : "FLIP knows nothing of invalid pixels", state.beside);
   repaint();
   root.dataset.state = "ready";
