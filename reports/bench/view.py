@@ -118,7 +118,7 @@ def held(
             _, path, step = moved[change % len(moved)]
             # Back and forth: no input comes to the end of its range.
             turns = change // len(moved)
-            state = put(state, path, get(state, path) + (step if turns % 2 else -0.9 * step))
+            state = put(state, path, get(state, path) + (-0.9 * step if turns % 2 else step))
             live.show(state)
             frames.first(change)
             found += [_resident_mb() for point in points if point == change]
