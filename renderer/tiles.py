@@ -163,6 +163,16 @@ class Engine:
             self._scratches.append(self._local.scratch)
         return self._local.scratch
 
+    def _unless(self, cancel: threading.Event | None) -> Callable[[], Scratch]:
+        """What gives the calling thread its memory for a part of the work, unless the work is called off."""
+
+        def scratch() -> Scratch:
+            if cancel is not None and cancel.is_set():
+                raise Cancelled
+            return self._scratch()
+
+        return scratch
+
     def kernels_of(self, variant: Variant, *, chain: Chain = "next-event") -> tuple[str, ...]:
         """Names of the kernels that a variant takes here; none where its term is skipped."""
         if variant.function is not None:
@@ -235,7 +245,7 @@ class Engine:
                     number = first // per_map
                     last = min(count, (number + 1) * per_map)
                     emitted = self.scene.photons.count
-                    photons = self._shared(variant, chain, stored, key, number, emitted)
+                    photons = self._shared(variant, chain, stored, key, number, emitted, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
                 self._run(variant, inputs, key, _work(tiles, share, first, last), out, cancel)
                 if tiles is self.tiles and variant.term == "background":
@@ -341,11 +351,10 @@ class Engine:
     ) -> None:
         driver = variant.driver
         assert driver is not None
+        scratch = self._unless(cancel)
 
         def draw(part: np.ndarray) -> None:
-            if cancel is not None and cancel.is_set():
-                raise Cancelled
-            driver(self.arrays, *inputs, key, part, out, self._scratch())
+            driver(self.arrays, *inputs, key, part, out, scratch())
 
         for _ in self.pool.map(draw, np.array_split(work, max(1, min(len(work), self._parts)))):
             pass
@@ -369,7 +378,14 @@ class Engine:
         self.compile_seconds += time.perf_counter() - start
 
     def _shared(
-        self, variant: Variant, chain: Chain, stored: Stored, key: np.uint64, index: int, count: int
+        self,
+        variant: Variant,
+        chain: Chain,
+        stored: Stored,
+        key: np.uint64,
+        index: int,
+        count: int,
+        scratch: Callable[[], Scratch],
     ) -> photon_map.PhotonMap:
         """The map of pass `index`: one that was kept, or a new one, kept while there is room."""
         # The first maps stay: all terms ask from the first to the last, where the latest used would help none.
@@ -378,7 +394,7 @@ class Engine:
         name = (key, index, count, stored, self._scattering(variant, chain, stored))
         if name in self._maps:
             return self._maps[name]
-        made = self._photons(variant, chain, stored, key, index, count, self._scratch)
+        made = self._photons(variant, chain, stored, key, index, count, scratch)
         if sum(map(photon_map.bytes_of, (*self._maps.values(), made))) <= self._map_bytes:
             self._maps[name] = made
         return made

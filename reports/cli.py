@@ -1118,7 +1118,7 @@ def bench_view(
     if json_:
         print(json.dumps(measured))
         return 0
-    columns = ("scene", "input", "seconds", "spread", "previews")
+    columns = ("scene", "input", "seconds", "spread", "processor", "previews")
     table = Table(*columns, box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for case in measured["cases"]:
         table.add_row(
@@ -1126,6 +1126,7 @@ def bench_view(
             case["input"],
             f"{case['seconds']:.3f}",
             f"{case['seconds_low']:.3f}-{case['seconds_high']:.3f}",
+            f"{case['processor']:.3f}",
             f"{case['previews']} of {case['changes']}",
         )
     _output.print(table)
@@ -1136,6 +1137,7 @@ def bench_view(
     )
     _output.print(
         f"From a change to the first picture, {resolution} x {resolution} pixels; a preview has a quarter of them. "
+        f"Processor: seconds of all threads, which other work on the machine hardly changes. "
         f"Memory: {said} changes of {memory['scene']}.",
         soft_wrap=True,
     )

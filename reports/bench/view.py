@@ -39,8 +39,9 @@ def measure(
     Returns
     -------
     dict
-        cases: scene, input, median, least and greatest seconds, and how many of the pictures were previews, of one
-        sample for 2 x 2 pixels. memory: see `held`. machine: `load_end` is the load when all was done.
+        cases: scene, input, median, least and greatest seconds, the median of the processor's seconds of all threads,
+        which other work on the machine hardly changes, and how many of the pictures were previews. memory: see `held`.
+        machine: `load_end` is the load when all was done.
     """
     common.known("scene", scenes, SCENES)
     common.positive(changes=changes, memory_changes=memory_changes, resolution=resolution)
@@ -59,14 +60,15 @@ def measure(
             shown = 1
             for what, path, step in _inputs(state):
                 report(f"{name}: {what}", number, len(chosen))
-                seconds, previews = [], 0
+                seconds, processor, previews = [], [], 0
                 for change in range(changes):
-                    begin = time.perf_counter()
+                    begin, spent = time.perf_counter(), time.process_time()
                     moved = put(state, path, get(state, path) + step * (1 + change))
                     live.show(moved)
                     shown += 1
-                    frame, at = frames.first(shown)
+                    frame, at, spent_then = frames.first(shown)
                     seconds.append(at - begin)
+                    processor.append(spent_then - spent)
                     previews += any(view.status == "preview" for view in frame.terms.values())
                 middle, least, most = common.spread(seconds)
                 cases.append(
@@ -76,6 +78,7 @@ def measure(
                         "seconds": middle,
                         "seconds_low": least,
                         "seconds_high": most,
+                        "processor": common.spread(processor)[0],
                         "previews": previews,
                         "changes": changes,
                     }
@@ -115,7 +118,7 @@ def held(
             _, path, step = moved[change % len(moved)]
             # Back and forth: no input comes to the end of its range.
             turns = change // len(moved)
-            state = put(state, path, get(state, path) + (step if turns % 2 else -0.9 * step))
+            state = put(state, path, get(state, path) + (-0.9 * step if turns % 2 else step))
             live.show(state)
             frames.first(change)
             found += [_resident_mb() for point in points if point == change]
@@ -146,7 +149,7 @@ class _Frames:
 
     def __init__(self) -> None:
         self._new = threading.Condition()
-        self._last: tuple[Frame, float] | None = None
+        self._last: tuple[Frame, float, float] | None = None
 
     def __call__(self, frame: Frame) -> None:
         if self._last is not None and self._last[0].number == frame.number:
@@ -157,11 +160,11 @@ class _Frames:
         elif not frame.error:
             return
         with self._new:
-            self._last = frame, time.perf_counter()
+            self._last = frame, time.perf_counter(), time.process_time()
             self._new.notify()
 
-    def first(self, number: int) -> tuple[Frame, float]:
-        """Wait for state `number`.
+    def first(self, number: int) -> tuple[Frame, float, float]:
+        """Wait for state `number`: its picture, when it was, and the processor's seconds until then.
 
         Raises
         ------
@@ -171,10 +174,10 @@ class _Frames:
         with self._new:
             self._new.wait_for(lambda: self._last is not None and self._last[0].number == number)
             assert self._last is not None
-            frame, at = self._last
-        if frame.error:
-            raise ValueError(f"{frame.state.scene.name}: {frame.error}")
-        return frame, at
+            found = self._last
+        if found[0].error:
+            raise ValueError(f"{found[0].state.scene.name}: {found[0].error}")
+        return found
 
 
 def _resident_mb() -> float:

@@ -28,6 +28,7 @@ class Input:
     unit : of the value, or "".
     low, high, step : of a slider; none where `high` is None.
     choices : allowed words, or ().
+    part : x, y, z, R, G or B, of an input that is one of three; or "".
     word : what may stand in the place of a number, "inf" or "auto"; "" where nothing may.
     """
 
@@ -39,14 +40,23 @@ class Input:
     high: float | None = None
     step: float = 0.01
     choices: tuple[Any, ...] = ()
+    part: str = ""
     word: str = ""
 
     @property
     def name(self) -> str:
         """Label with all that a reader has to know."""
+        return self._noted(f"{self.label} {self.part}" if self.part else self.label)
+
+    @property
+    def whole(self) -> str:
+        """Name of the three that this is a part of."""
+        return self._noted(self.label)
+
+    def _noted(self, label: str) -> str:
         notes = [f"paper: {self.paper}" if self.paper else "", self.unit]
         said = ", ".join(note for note in notes if note)
-        return f"{self.label} ({said})" if said else self.label
+        return f"{label} ({said})" if said else label
 
 
 def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
@@ -187,7 +197,7 @@ def _triple(
     path: Steps, label: str, paper: str, unit: str, parts: str, high: float | None = None
 ) -> list[Input]:
     return [
-        Input((*path, number), f"{label} {part}", paper, unit, high=high) for number, part in enumerate(parts)
+        Input((*path, number), label, paper, unit, high=high, part=part) for number, part in enumerate(parts)
     ]
 
 

@@ -2,16 +2,18 @@
 
 The sum of a term's samples is kept as long as what it depends on stays (`State.content`): a change renders anew the
 terms that it touches, and no other. Samples are taken in steps of about a tenth of a second, so that a change is seen
-to at once; a step that a change has made useless is broken off. The image after N samples has the bits of
-`termwise render --samples N`: the same samples are added in the same order, whatever the steps.
+to at once. A step that a change has made useless is broken off, but never before the first picture of its state is
+out: else a drag, which changes the state faster than pictures come, would show none. The image after N samples has the
+bits of `termwise render --samples N`: the same samples are added in the same order, whatever the steps.
 """
 
+import ctypes
 import math
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import attrs
 import numpy as np
@@ -23,9 +25,10 @@ from scenes.terms import TERMS, Term, total
 
 STEP_S = 0.1
 FIRST_S = 0.15
-"""A first sample of all touched terms that is expected to take longer is preceded by a quarter of the pixels."""
+"""First samples of the touched terms that may take longer follow a quarter of the pixels and of the photons."""
 KEPT = 8
 """Sums that are kept for an undo."""
+_TRIM_EVERY = 32  # changes
 _MAP_BYTES = 2**25  # the first passes, which direct and specular share
 
 Status = Literal["starting", "preview", "rendering", "done", "skipped", "stopped"]
@@ -38,7 +41,7 @@ class TermView:
     Attributes
     ----------
     image : (H, W, 3) float64, the mean of `samples` samples; None before the first.
-    samples : 0 for a preview, which has one sample for 2 x 2 pixels.
+    samples : 0 for a preview, which has one sample for 2 x 2 pixels and a quarter of the photons.
     seconds : of rendering, compilation apart.
     status : what is being done about it.
     reused : whether these samples were taken before the last change.
@@ -154,6 +157,7 @@ class Live:
         self._wanted: tuple[int, State, float] | None = None
         self._number = 0
         self._paused = self._closed = False
+        self._out = True  # the first picture of the state that is shown
         self._running: _Sum | None = None
         # Of the worker alone.
         self._shown: tuple[int, State, float] | None = None
@@ -163,7 +167,8 @@ class Live:
         self._sums: dict[Term, _Sum] = {}
         self._kept: OrderedDict[tuple, _Sum] = OrderedDict()
         self._reused: set[Term] = set()
-        self._pace: dict[Term, float] = {}
+        self._adopted = 0
+        self._pace: dict[tuple[Any, ...], float] = {}
         self._thread = threading.Thread(target=self._work, name="termwise view", daemon=True)
         self._thread.start()
 
@@ -173,7 +178,7 @@ class Live:
         with self._changed:
             self._number += 1
             self._wanted = self._number, state, time.perf_counter()
-            if self._running and self._running.content not in contents:
+            if self._running and self._out and self._running.content not in contents:
                 self._running.cancel.set()
             self._changed.notify()
 
@@ -211,9 +216,11 @@ class Live:
             if self._closed:
                 return False
             assert self._wanted is not None
-            anew = self._wanted is not self._shown
-            self._shown, paused = self._wanted, self._paused
-            self._told_paused = paused
+            paused = self._told_paused = self._paused
+            anew = self._out and self._wanted is not self._shown
+            if anew:
+                self._shown, self._out = self._wanted, False
+            assert self._shown is not None
         number, state, since = self._shown
         try:
             if anew:
@@ -223,12 +230,12 @@ class Live:
             following = self._next(state, paused)
             if following is not None:
                 with self._changed:
-                    if self._closed or self._wanted is not self._shown:
+                    if self._closed or (self._out and self._wanted is not self._shown):
                         return not self._closed
                     self._running = following
                 following.step(self._goal(state, paused))
                 if following.samples == 1:
-                    self._pace[following.term] = following.seconds / math.prod(state.scene.resolution)
+                    self._pace[_kind(state, following.term)] = following.seconds
         except Cancelled:
             return True
         except Exception as fault:  # whatever an estimator raises is told, and the page lives on
@@ -242,8 +249,14 @@ class Live:
         if whole and self._first_s is None:
             self._first_s = time.perf_counter() - since
         if whole or anew or self._error:
-            self._publish(Frame(state, number, views, self._first_s, self._error))
+            self._tell(Frame(state, number, views, self._first_s, self._error))
         return True
+
+    def _tell(self, frame: Frame) -> None:
+        self._publish(frame)
+        if frame.total is not None or frame.error:
+            with self._changed:
+                self._out = True
 
     def _awake(self) -> bool:
         """Whether there is something to do."""
@@ -275,8 +288,10 @@ class Live:
                 if engine is None:
                     engine = Engine(state.scene, threads=self._threads, map_bytes=_MAP_BYTES)
                 found = _Sum(state, term, engine)
-            elif found.samples:
-                self._reused.add(term)
+            else:
+                found.cancel.clear()  # a step that was called off as it ended
+                if found.samples:
+                    self._reused.add(term)
             sums[term] = found
         self._sums = sums
         used = {each.content for each in sums.values()}
@@ -286,6 +301,9 @@ class Live:
         for each in before:
             if id(each.engine) not in alive:
                 each.engine.pool.shutdown(wait=False)
+        self._adopted += 1
+        if self._adopted % _TRIM_EVERY == 0:
+            _trim()
 
     def _goal(self, state: State, paused: bool) -> int:
         """Samples of each term: the state's; or as many as the foremost has, for a picture of one count at rest."""
@@ -299,26 +317,29 @@ class Live:
         return min(behind, key=lambda each: each.samples, default=None)
 
     def _preview(self, state: State, number: int, since: float) -> None:
-        """Show a sample for 2 x 2 pixels, where the first sample of all will be late."""
-        pixels = math.prod(state.scene.resolution)
+        """Show a sample for 2 x 2 pixels, where the first sample of all will be late, or may be."""
         new: list[Term] = [term for term, each in self._sums.items() if not each.samples]
-        if (
-            sum(self._pace.get(term, 0.0) for term in new) * pixels < FIRST_S
-            or min(state.scene.resolution) < 2
-        ):
+        expected = sum(self._pace.get(_kind(state, term), math.inf) for term in new)
+        if expected < FIRST_S or min(state.scene.resolution) < 2:
             return
         width, height = state.scene.resolution
-        half = attrs.evolve(state, scene=attrs.evolve(state.scene, resolution=(width // 2, height // 2)))
+        # A quarter of the photons at twice the radius: as many meet a point.
+        photons = state.scene.photons
+        fewer = attrs.evolve(photons, count=-(-photons.count // 4), radius=2.0 * photons.radius)
+        coarse = attrs.evolve(state.scene, resolution=(width // 2, height // 2), photons=fewer)
         views = self._views(state, False)
         rows, columns = np.arange(height) * (height // 2) // height, np.arange(width) * (width // 2) // width
-        with Engine(half.scene, threads=self._threads, map_bytes=_MAP_BYTES) as engine:
+        with Engine(coarse, threads=self._threads, map_bytes=_MAP_BYTES) as engine:
             for term in new:
+                if self._closed:
+                    raise Cancelled
                 _, image, seconds = next(
-                    engine.prefixes(half.variant(term), samples=1, seed=state.seed, replicate=0, chain=CHAIN)
+                    engine.prefixes(state.variant(term), samples=1, seed=state.seed, replicate=0, chain=CHAIN)
                 )
+                self._pace[_kind(state, term)] = 4.0 * seconds
                 grown = image[rows][:, columns]
                 views[term] = attrs.evolve(views[term], image=grown, seconds=seconds, status="preview")
-        self._publish(Frame(state, number, views, time.perf_counter() - since))
+        self._tell(Frame(state, number, views, time.perf_counter() - since))
 
     def _views(self, state: State, stopped: bool) -> dict[Term, TermView]:
         width, height = state.scene.resolution
@@ -337,3 +358,20 @@ class Live:
                 status = "stopped"
             views[term] = TermView(each.image, each.samples, each.seconds, status, term in self._reused)
         return views
+
+
+def _trim() -> None:
+    """Give freed memory back to the system.
+
+    glibc keeps what lies between pieces that are held, in a heap for every few threads: after 1000 changes that was a
+    third of all. Other libraries have no such call.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+def _kind(state: State, term: Term) -> tuple[Any, ...]:
+    """Of a first sample: those of one kind take about as long."""
+    scene = state.scene
+    return scene.name, term, state.variants[term], scene.resolution, scene.photons, scene.max_bounces

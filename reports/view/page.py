@@ -4,6 +4,7 @@ import asyncio
 import base64
 import fcntl
 import io
+import itertools
 import os
 import re
 import socket
@@ -43,11 +44,15 @@ _GONE_S = 30.0
 _STYLE = """
 body { --q-primary: #0b5394 !important } .body--dark { --q-primary: #8dbff2 !important;
 --q-negative: #ffb8a1 !important }
-.q-field__messages { line-height: 1.3 }
+.body--dark .q-btn.bg-primary { color: #10243a !important }
+.q-field__messages { line-height: 1.3 } .inputs { width: 20rem }
 .picture { image-rendering: pixelated; width: 100%; display: block; background: #8883 }
 .picture-frame:focus-visible { outline: 3px solid #5a9bd8; outline-offset: 2px }
 .figures td, .figures th { padding: .15rem .9rem .15rem 0; text-align: left; vertical-align: top; font-size: .85rem }
 .figures { border-collapse: collapse } .figures tr { border-top: 1px solid #8885 }
+.words { font-size: .85rem; margin-top: .5rem } .words summary { cursor: pointer } .words p { margin: .3rem 0 }
+@media (max-width: 1000px) {
+.inputs { width: 15rem } .figures td, .figures th { padding-right: .5rem; font-size: .8rem } }
 """
 
 
@@ -194,7 +199,9 @@ class Page:
                 ui.button(text, on_click=action).props("dense outline no-caps")
             self.pause = ui.switch("refine", value=True, on_change=lambda e: self.live.pause(not e.value))
         with ui.row().classes("w-full no-wrap items-start gap-6"):
-            self.inputs = ui.column().classes("w-80 shrink-0 gap-1").props('role=region aria-label="Inputs"')
+            self.inputs = (
+                ui.column().classes("inputs shrink-0 gap-1").props('role=region aria-label="Inputs"')
+            )
             with ui.column().classes("grow min-w-0 gap-3"):
                 with ui.row().classes("items-center gap-4"):
                     ui.toggle(
@@ -202,7 +209,8 @@ class Page:
                         value="sum",
                         on_change=lambda e: self._arrange(e.value),
                     ).props("no-caps dense")
-                    self._number(Input(("scene", "exposure"), "exposure", "", "factor"), "Picture")
+                    with ui.element("div").classes("w-40"):
+                        self._number(Input(("scene", "exposure"), "exposure", "", "factor"), "Picture")
                 self.status = ui.label().props("role=status aria-live=polite")
                 with ui.row().classes("w-full items-start gap-6"):
                     self.gallery = ui.element("div").classes("grow")
@@ -227,12 +235,20 @@ class Page:
         with self.inputs:
             for number, (heading, inputs) in enumerate(groups(self.history.state)):
                 with ui.expansion(heading, value=number == 0).classes("w-full").props("dense"):
-                    for each in inputs:
-                        self._input(each, heading)
+                    for triple, parts in itertools.groupby(inputs, lambda each: each.part and each.path[:-1]):
+                        if not triple:
+                            for each in parts:
+                                self._input(each, heading)
+                            continue
+                        first, *others = parts
+                        ui.label(first.whole).classes("text-xs opacity-70 mt-2").props("aria-hidden=true")
+                        with ui.row().classes("w-full no-wrap gap-3"):
+                            for each in (first, *others):
+                                with ui.column().classes("grow basis-0 min-w-0 gap-0"):
+                                    self._input(each, heading)
 
     def _input(self, each: Input, heading: str) -> None:
         ui, value = self.ui, states.get(self.history.state, each.path)
-        spoken = escape(f"{heading}: {each.name}")
 
         def changed(event: Any) -> None:
             self._change(each, event.value)
@@ -244,7 +260,8 @@ class Page:
             field = ui.select(
                 list(each.choices), value=value, label=each.name, on_change=changed, validation=refusal
             )
-            self._fields[each.path] = [field.props(f'dense aria-label="{spoken}"').classes("w-full")]
+            field._props["aria-label"] = f"{heading}: {each.name}"
+            self._fields[each.path] = [field.props("dense hide-bottom-space").classes("w-full")]
         elif isinstance(value, bool):
             self._fields[each.path] = [ui.switch(each.name, value=value, on_change=changed)]
         else:
@@ -262,12 +279,14 @@ class Page:
         if each.word:  # a number field of a browser takes none
             field = ui.input(each.name, value=_text(value), on_change=changed, validation=refusal)
         else:
-            field = ui.number(each.name, value=value, step=each.step, on_change=changed, validation=refusal)
-        spoken = escape(f"{heading}: {each.name}")
-        fields = [field.props(f'dense debounce=200 aria-label="{spoken}"').classes("w-full")]
+            label = each.part or each.name
+            field = ui.number(label, value=value, step=each.step, on_change=changed, validation=refusal)
+        field._props["aria-label"] = f"{heading}: {each.name}"
+        fields = [field.props("dense debounce=200 hide-bottom-space").classes("w-full")]
         if each.high is not None:
             slider = ui.slider(min=each.low, max=each.high, step=each.step, value=value, on_change=changed)
-            fields.append(slider.props(f'dense aria-label="{spoken}, slider"'))
+            slider._props["aria-label"] = f"{heading}: {each.name}, slider"
+            fields.append(slider.props("dense"))
         self._fields[each.path] = fields
 
     def _arrange(self, shown: str) -> None:
@@ -668,8 +687,9 @@ def _verdict_table(view: TruthView) -> str:
             row.word,
             f"{100 * row.bias:+.3f} [{100 * row.low:+.3f}, {100 * row.high:+.3f}]",
             f"{row.rmse:.3g}",
-            row.sentence,
         )
         for row in view.rows
     ]
-    return _table(("term", "verdict", "bias [90 %] in %", "RMSE", ""), rows, "Verdicts")
+    words = "".join(f"<p>{escape(row.term)}: {escape(row.sentence)}</p>" for row in view.rows if row.sentence)
+    said = f"<details class=words><summary>in words</summary>{words}</details>" if words else ""
+    return _table(("term", "verdict", "bias [90 %] in %", "RMSE"), rows, "Verdicts") + said

@@ -71,10 +71,15 @@ def get(state: State, path: Steps) -> Any:
     value: Any = state
     for step in path:
         if isinstance(value, Object) and step in _OF_MESH:
-            value = _OF_MESH[step][0](value.mesh)
+            value = _short(_OF_MESH[step][0](value.mesh))
         else:
             value = _item(value, step)
     return value
+
+
+def _short(value: Any) -> Any:
+    """A number, or a triple, in six digits: vertices are float32, and have no more."""
+    return tuple(map(_short, value)) if isinstance(value, tuple) else float(f"{value:.6g}")
 
 
 def _item(value: Any, step: Any) -> Any:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from reports import cli
-from reports.bench import common, curves, economies, scaling, terms
+from reports.bench import common, curves, economies, scaling, terms, view
 from reports.bench.worker import Load
 from reports.page import bench as page
+from reports.progress import silent
 from scenes.terms import TERMS
 
 MACHINE = {"processor": "a <fast> one", "cores": 2, "threads": 2, "load": 0.5, "versions": {"python": "3.11"}}
@@ -166,6 +167,26 @@ def test_a_tiny_run_of_economies_says_all(compiled):
         assert row["verdict"] in ("EQUIVALENT", "UNDERPOWERED")
 
 
+def test_a_tiny_run_of_view_says_all(compiled):
+    """8 x 8 pixels: each input of each scene, and memory at a tenth of the changes and at all of them."""
+    if not compiled:
+        pytest.skip("photon maps of thousands of photons")
+    found = view.measure(
+        scenes=("cornell_box", "monkey"), changes=2, memory_changes=10, resolution=8, report=silent
+    )
+    assert [(case["scene"], case["input"]) for case in found["cases"]] == [
+        (name, what)
+        for name in ("cornell_box", "monkey")
+        for what in ("camera", "roughness", "gloss", "light")
+    ]
+    for case in found["cases"]:
+        assert 0.0 < case["seconds_low"] <= case["seconds"] <= case["seconds_high"]
+        assert case["processor"] > 0.0
+        assert 0 <= case["previews"] <= case["changes"] == 2
+    assert found["memory"]["changes"] == [1, 10]
+    assert len(found["memory"]["megabytes"]) == 2
+
+
 def curve(side, setting, **facts):
     common = {"scene": "monkey", "term": "direct", "scope": "all", "variant": "path <1>", "side": side}
     points = {"samples": [1, 4], "rmse": [0.2, 0.1], "seconds": [0.1, 0.4]}
@@ -229,7 +250,7 @@ def made(folder, *names):
         "view": {
             "cases": [
                 {"scene": "monkey", "input": "light", "seconds": 0.12, "seconds_low": 0.1, "seconds_high": 0.34}
-                | {"previews": 3, "changes": 30}
+                | {"processor": 0.18, "previews": 3, "changes": 30}
             ],
             "memory": {"scene": "monkey", "resolution": 32, "changes": [100, 1000], "megabytes": [251.0, 252.0]},
             "settings": {"resolution": 256, "changes": 30},

@@ -165,6 +165,28 @@ def test_a_new_state_breaks_off_what_it_makes_useless(watch, compiled):
     assert [frame.number for frame in seen.frames] == sorted(frame.number for frame in seen.frames)
 
 
+def test_a_drag_shows_pictures(watch, compiled):
+    """Changes that come faster than pictures: some are left out, none of those begun is, before its first picture."""
+    live, seen = watch
+    state = small("cornell_box", compiled, samples=2**20)
+    number, end = 0, time.monotonic() + WAIT_S
+    while len({frame.number for frame in seen.frames if frame.total is not None}) < 5:
+        assert time.monotonic() < end
+        number += 1
+        live.show(put(state, ("scene", "camera", "fov"), 40.0 + 0.01 * (number % 1000)))
+
+
+def test_a_step_called_off_as_it_ended_goes_on_later(watch, compiled):
+    live, seen = watch
+    state = small("cornell_box", compiled)
+    live.show(state)
+    seen.until(1, 4)
+    for each in live._sums.values():
+        each.cancel.set()
+    live.show(attrs.evolve(state, samples=8))
+    assert seen.until(2, 8).at_rest
+
+
 def test_pause_keeps_the_picture_and_resume_goes_on(watch, compiled):
     live, seen = watch
     live.pause()
