@@ -44,13 +44,14 @@ _GONE_S = 30.0
 _STYLE = """
 body { --q-primary: #0b5394 !important } .body--dark { --q-primary: #8dbff2 !important;
 --q-negative: #ffb8a1 !important }
-.body--dark .q-btn.bg-primary { color: #10243a !important }
+.bg-chosen { background: #0b5394 }
 .q-field__messages { line-height: 1.3 } .inputs { width: 20rem }
 .picture { image-rendering: pixelated; width: 100%; display: block; background: #8883 }
 .picture-frame:focus-visible { outline: 3px solid #5a9bd8; outline-offset: 2px }
 .figures td, .figures th { padding: .15rem .9rem .15rem 0; text-align: left; vertical-align: top; font-size: .85rem }
 .figures { border-collapse: collapse } .figures tr { border-top: 1px solid #8885 }
-.words { font-size: .85rem; margin-top: .5rem } .words summary { cursor: pointer } .words p { margin: .3rem 0 }
+.words { font-size: .85rem; margin-top: .5rem } .words p { margin: .3rem 0 }
+.words summary { cursor: pointer; display: list-item }
 @media (max-width: 1000px) {
 .inputs { width: 15rem } .figures td, .figures th { padding-right: .5rem; font-size: .8rem } }
 """
@@ -158,7 +159,7 @@ class Page:
         client = ui.context.client
         self._build()
         self.live = Live(self._on_frame)
-        client.on_disconnect(self.live.pause)
+        client.on_disconnect(lambda: self.live.pause(True))
         client.on_connect(lambda: self.live.pause(not self.pause.value))
         client.on_delete(self.close)
         self._show(state)
@@ -208,7 +209,7 @@ class Page:
                         {"sum": "sum", "terms": "terms side by side"},
                         value="sum",
                         on_change=lambda e: self._arrange(e.value),
-                    ).props("no-caps dense")
+                    ).props("no-caps dense toggle-color=chosen")
                     with ui.element("div").classes("w-40"):
                         self._number(Input(("scene", "exposure"), "exposure", "", "factor"), "Picture")
                 self.status = ui.label().props("role=status aria-live=polite")
