@@ -73,13 +73,11 @@ class Chain(mi.SamplingIntegrator):
         """Take the scene of all roles, the integral, and how many occlusion rays a chain has."""
         mi.SamplingIntegrator.__init__(self, mi.Properties())
         self._estimate = specular.estimator(loaded, attrs.asdict(limit), occlusion_rays=rays)
-        self._bounces = loaded.description["max_bounces"]
 
     def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
         """Radiance along a camera ray."""
-        # Stratified, where the sampler is: as good as counting through the vertices.
-        vertex = mi.UInt32(sampler.next_1d() * self._bounces)
-        (color,) = self._estimate(Samples(mi.Ray3f(ray), sampler, vertex))
+        # Stratified, where the sampler is.
+        (color,) = self._estimate(Samples(mi.Ray3f(ray), sampler, sampler.next_2d(), sampler.next_1d()))
         return color, mi.Bool(True), []
 
 

@@ -22,7 +22,7 @@ def small(name: str, side: int = 16) -> Scene:
     return attrs.evolve(load(name), resolution=(side, side))
 
 
-def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 512, change: Any = None) -> dict[str, str]:
+def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 640, change: Any = None) -> dict[str, str]:
     """Test -> word, for the true integral of a term; `change` alters the replicates of the first integrator."""
     limit = correct(term, scene.scope)
     kept = store.replicates(scene, limit, spp=spp, seed=3, count=16, folder=folder)

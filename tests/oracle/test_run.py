@@ -283,6 +283,7 @@ def test_dataset(first: Finished):
             **tiles,
             "cell": 0,
             "limit": 0,
+            "prefix": 2,
             "replicate": 4,
             "reference_replicate": 4,
             "piece": 4,  # of the floor and of nothing beside it, in tiles of 8 pixels
