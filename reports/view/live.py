@@ -370,8 +370,8 @@ class Live:
 def _trim() -> None:
     """Give freed memory back to the system.
 
-    glibc keeps what lies between pieces that are held, in a heap for every few threads: after 1000 changes that was a
-    third of all. Other libraries have no such call.
+    glibc keeps what lies between pieces that are held, in a heap for every few threads, and each change has threads of
+    its own. Other libraries have no such call.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
