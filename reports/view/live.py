@@ -140,6 +140,10 @@ class _Sum:
             self.broken = True
             raise
 
+    def close(self) -> None:
+        """Let go of all that is held now: sum and generator know each other, and would wait for Python's collector."""
+        self._prefixes = iter(())
+
 
 class Live:
     """Renders the state that was asked for last, in a thread of its own.
@@ -297,8 +301,11 @@ class Live:
         used = {each.content for each in sums.values()}
         others = [each for each in before if each.content not in used and not each.broken and each.samples]
         self._kept = OrderedDict((each.content, each) for each in others[:KEPT])
+        held = {id(each) for each in self._all()}
         alive = {id(each.engine) for each in self._all()}
         for each in before:
+            if id(each) not in held:
+                each.close()
             if id(each.engine) not in alive:
                 each.engine.pool.shutdown(wait=False)
         self._adopted += 1
@@ -363,8 +370,8 @@ class Live:
 def _trim() -> None:
     """Give freed memory back to the system.
 
-    glibc keeps what lies between pieces that are held, in a heap for every few threads: after 1000 changes that was a
-    third of all. Other libraries have no such call.
+    glibc keeps what lies between pieces that are held, in a heap for every few threads, and each change has threads of
+    its own. Other libraries have no such call.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:

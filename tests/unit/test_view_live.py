@@ -279,8 +279,11 @@ def test_a_late_first_sample_is_preceded_by_a_quarter_of_the_pixels(watch, compi
     assert last.total.tobytes() == total(**rendered(last.state, 4)).tobytes()
 
 
-def test_what_is_held_is_bounded(watch, compiled, monkeypatch):
-    """However many states were shown, a few sums and their engines are kept, and no thread of another."""
+def test_what_is_held_is_bounded(watch, compiled, monkeypatch, request):
+    """However many states were shown, a few sums and their engines are kept, and no thread of another.
+
+    Without Python's collector, which looks at old objects so seldom that hundreds of megabytes would wait for it.
+    """
     engines: list[weakref.ref[Engine]] = []
     sums: list[weakref.ref[_Sum]] = []
 
@@ -296,6 +299,9 @@ def test_what_is_held_is_bounded(watch, compiled, monkeypatch):
 
     monkeypatch.setattr("reports.view.live.Engine", engine)
     monkeypatch.setattr("reports.view.live._Sum", begun)
+    gc.collect()
+    gc.disable()
+    request.addfinalizer(gc.enable)
     live, seen = watch
     threads = threading.active_count()
     state = small("cornell_box", compiled, samples=1)
@@ -307,7 +313,6 @@ def test_what_is_held_is_bounded(watch, compiled, monkeypatch):
     most = KEPT + len(TERMS)
 
     def alive(made: list) -> int:
-        gc.collect()
         return sum(each() is not None for each in made)
 
     assert len(engines) >= changes
