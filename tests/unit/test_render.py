@@ -622,7 +622,7 @@ def test_variance_is_that_of_the_mean(compiled):
 
 def test_counts_that_are_asked_for_change_no_bit(compiled):
     """The first N samples are the first N samples, whatever other N are looked at."""
-    scene = attrs.evolve(load("two_cubes"), resolution=(8, 6) if compiled else (3, 2))
+    scene = small(load("two_cubes"), compiled, 8)
     for term in TERMS:
         with Engine(scene, threads=1) as engine:
             asked = list(
