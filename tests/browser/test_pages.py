@@ -1,15 +1,13 @@
 """The pages in a real browser, from `file://`, offline: no complaint, every control, values as in the EXR.
 
-The run is of known pixels, written here. TERMWISE_BROWSER=required makes a missing Chromium a failure.
+The run is of known pixels, written here.
 """
 
 import base64
 import io
 import json
 import math
-import os
 import re
-import shutil
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
@@ -20,7 +18,7 @@ import numpy as np
 import pytest
 import xarray
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page
 from scipy import stats
 
 from reports import images, microscope, page
@@ -36,23 +34,6 @@ SCENES = ["two_cubes", "a room & <more>"]
 SCENE = SCENES[0]
 SIDES = 8, 16, 32
 AXE = resources.files("axe_playwright_python") / "axe.min.js"
-REQUIRED = os.environ.get("TERMWISE_BROWSER") == "required"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """Chromium of the system."""
-    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if path is None:
-        reason = "no Chromium on this machine: on Debian, apt-get install chromium"
-        if REQUIRED:
-            pytest.fail(reason)
-        pytest.skip(reason)
-    with sync_playwright() as playwright:
-        # Its sandbox needs user namespaces, which containers refuse; the pages are our own.
-        found = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
-        yield found
-        found.close()
 
 
 @attrs.define

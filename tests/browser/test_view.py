@@ -8,7 +8,6 @@ import contextlib
 import io
 import os
 import re
-import shutil
 import socket
 import subprocess
 import sys
@@ -20,6 +19,7 @@ import attrs
 import numpy as np
 import pytest
 from PIL import Image
+from playwright.sync_api import expect
 
 from renderer import render_terms
 from reports.images import read_exr
@@ -28,11 +28,9 @@ from scenes.load import load
 from scenes.model import Scene
 from scenes.terms import TERMS, total
 
-CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium at /usr/bin/chromium")
 # Everything is waited for until it is there; what has not come by then never will, however busy the machine.
 WAIT_S = 300
+expect.set_options(timeout=1000 * WAIT_S)
 COMMAND = [sys.executable, "-c", "from reports.cli import main; main()"]
 
 
@@ -71,15 +69,6 @@ def server(folder, small) -> Iterator[tuple[str, subprocess.Popen]]:
     yield f"http://127.0.0.1:{port}/", process
     process.terminate()
     process.wait(30)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    playwright.expect.set_options(timeout=1000 * WAIT_S)
-    with playwright.sync_playwright() as api:
-        started = api.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield started
-        started.close()
 
 
 @pytest.fixture
@@ -204,7 +193,7 @@ def test_a_wrong_value_is_refused_in_its_place(page):
     enter(page, "tall block", "gloss (paper: g)", "")
     page.get_by_text("gloss = None: allowed is a number").wait_for()
     changed(page, "tall block", "gloss (paper: g)", "0.4")
-    playwright.expect(page.get_by_text("allowed is a number")).to_have_count(0)
+    expect(page.get_by_text("allowed is a number")).to_have_count(0)
 
 
 def test_undo_redo_by_keyboard(page):
@@ -217,7 +206,7 @@ def test_undo_redo_by_keyboard(page):
         page.keyboard.press("Enter")
         page.wait_for_function("s => document.querySelector('img.picture').src == s", arg=expected[0])
         settled(page)
-        playwright.expect(field).to_have_value(expected[1])
+        expect(field).to_have_value(expected[1])
 
 
 def test_the_camera_turns_by_arrow_keys_and_mouse(page):
@@ -226,14 +215,14 @@ def test_the_camera_turns_by_arrow_keys_and_mouse(page):
     values = [field.input_value()]
     page.locator(".picture-frame").focus()
     page.keyboard.press("ArrowRight")
-    playwright.expect(field).not_to_have_value(values[0])
+    expect(field).not_to_have_value(values[0])
     values.append(field.input_value())
     box = page.locator(".picture-frame").bounding_box()
     page.mouse.move(box["x"] + 100, box["y"] + 100)
     page.mouse.down()
     page.mouse.move(box["x"] + 160, box["y"] + 110, steps=4)
     page.mouse.up()
-    playwright.expect(field).not_to_have_value(values[1])
+    expect(field).not_to_have_value(values[1])
 
 
 def test_saved_scene_and_copied_command_give_the_picture(page, folder, tmp_path):
@@ -368,7 +357,7 @@ def test_every_scene_of_the_library_has_a_page(page):
         page.wait_for_selector(f"img.picture[alt^='{name}, total:']")
     page.get_by_text("Light", exact=True).click()
     reach = page.get_by_label("Light: ambient range (paper: AO distance, scene units or inf)")
-    playwright.expect(reach).to_have_value("inf")
+    expect(reach).to_have_value("inf")
     reach.fill("far")
     page.get_by_text("range = 'far': allowed is a number").wait_for()
     reach.fill("0.5")
