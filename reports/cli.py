@@ -1304,7 +1304,12 @@ def _check_seed(seed: int) -> None:
 
 def _folder(path: Path) -> Path:
     """Make a folder for results before the work starts that is to go there."""
-    path.mkdir(parents=True, exist_ok=True)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (NotADirectoryError, FileExistsError):
+        raise ValueError(
+            f"out = {path}: is a file, or lies in one: allowed is a folder, old or new"
+        ) from None
     return path
 
 

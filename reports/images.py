@@ -66,7 +66,8 @@ def read_exr(path: Path) -> dict[str, np.ndarray]:
                     pixels = channels["RGB" if "RGB" in channels else "RGBA"].pixels
                     found[name or ""] = np.asarray(pixels[..., :3], np.float32)
     except Exception as error:  # OpenEXR raises RuntimeError, TypeError and KeyError alike
-        raise ValueError(f"{path}: is not an OpenEXR image: {' '.join(str(error).split())}") from None
+        why = " ".join(str(error).split())
+        raise ValueError(f"{path}: is not an OpenEXR image ({why}): allowed are whole ones") from None
     if not found:
         raise ValueError(f"{path}: holds no RGB channels: allowed are OpenEXR images with R, G and B")
     return found

@@ -97,9 +97,11 @@ def ssim(reference: np.ndarray, image: np.ndarray, *, exposure: float) -> float:
     return np.asarray(similarity).item()
 
 
-def encode(radiance: np.ndarray, *, exposure: float) -> np.ndarray:
-    """Values in [0, 1] as a screen shows them: exposed, clipped, sRGB-encoded (IEC 61966-2-1)."""
+def encode(radiance: np.ndarray, *, exposure: float, gamma: float | None = None) -> np.ndarray:
+    """Values in [0, 1] as a screen shows them: exposed, clipped, encoded by sRGB (IEC 61966-2-1) or v^(1/gamma)."""
     clipped = np.clip(np.asarray(radiance, dtype=np.float64) * exposure, 0.0, 1.0)
+    if gamma is not None:
+        return clipped ** (1.0 / gamma)
     return np.asarray(colour.cctf_encoding(clipped, function="sRGB"))
 
 

@@ -49,10 +49,11 @@ _DIVERGING = np.stack(
 )
 
 
-def display(radiance: np.ndarray, *, exposure: float) -> np.ndarray:
-    """(H, W, 3) uint8 sRGB of linear Rec. 709 radiance; invalid pixels in magenta."""
+def display(radiance: np.ndarray, *, exposure: float, gamma: float | None = None) -> np.ndarray:
+    """(H, W, 3) uint8 of linear Rec. 709 radiance, by sRGB's curve or v^(1/gamma); invalid pixels in magenta."""
     valid = np.isfinite(radiance).all(axis=-1, keepdims=True)
-    shown = np.round(255 * encode(np.where(valid, radiance, 0.0), exposure=exposure)).astype(np.uint8)
+    encoded = encode(np.where(valid, radiance, 0.0), exposure=exposure, gamma=gamma)
+    shown = np.round(255 * encoded).astype(np.uint8)
     return np.where(valid, shown, INVALID)
 
 

@@ -37,6 +37,7 @@ from scenes.terms import TERMS, TOTAL, Term
 
 DRAWN_S = 0.1
 """Pictures are sent no more often, but for the first after a change and the last."""
+GAMMAS = 1.0, 3.0
 # A tab that is away for longer is closed, and has lost its state. Its work rests from the first moment; the browser is
 # asked every 0.8 of this time whether it is there, and has 0.4 of it to answer: 3 s were too few on a busy machine.
 _GONE_S = 30.0
@@ -149,6 +150,7 @@ class Page:
         self._judged: State | None = None
         self._asked = 0  # truths so far: what one that was cancelled still tells is not the next one's
         self.shown = "sum"
+        self.gamma: float | None = None  # of the pictures' curve; None: sRGB
         self.saved: Path | None = None
         self._fields: dict[Steps, list[Any]] = {}
         self._syncing = False
@@ -212,6 +214,7 @@ class Page:
                     ).props("no-caps dense toggle-color=chosen")
                     with ui.element("div").classes("w-40"):
                         self._number(Input(("scene", "exposure"), "exposure", "", "factor"), "Picture")
+                    self._curve()
                 self.status = ui.label().props("role=status aria-live=polite")
                 with ui.row().classes("w-full items-start gap-6"):
                     self.gallery = ui.element("div").classes("grow")
@@ -289,6 +292,30 @@ class Page:
             slider._props["aria-label"] = f"{heading}: {each.name}, slider"
             fields.append(slider.props("dense"))
         self._fields[each.path] = fields
+
+    def _curve(self) -> None:
+        """The curve by which pictures are shown: it belongs to the page, not to the scene."""
+        ui = self.ui
+
+        def changed() -> None:
+            power.set_enabled(curve.value == "gamma")
+            gamma = power.value if curve.value == "gamma" else None
+            if gamma is None or refusal(gamma) is None:
+                self.gamma = gamma
+                if self.frame:
+                    self._draw(self.frame, self._encoded(self.frame))
+
+        def refusal(value: Any) -> str | None:
+            low, high = GAMMAS
+            given = isinstance(value, int | float) and low <= value <= high
+            return None if given else f"gamma = {value}: allowed is a number in [{low:g}, {high:g}]"
+
+        curve = ui.select({"srgb": "sRGB", "gamma": "gamma"}, value="srgb", label="curve", on_change=changed)
+        curve.props("dense").classes("w-24")
+        power = ui.number("gamma", value=2.2, step=0.1, on_change=changed, validation=refusal)
+        power.props("dense debounce=200 hide-bottom-space").classes("w-24").set_enabled(False)
+        for field, name in ((curve, "curve"), (power, "gamma")):
+            field._props["aria-label"] = f"Picture: {name}"
 
     def _arrange(self, shown: str) -> None:
         """One picture, or one of each term."""
@@ -434,12 +461,14 @@ class Page:
     def _encoded(self, frame: Frame) -> dict[str, str]:
         images: dict[str, np.ndarray | None] = {TOTAL: frame.total}
         images |= {term: view.image for term, view in frame.terms.items()}
-        exposure = frame.state.scene.exposure
         return {
-            name: png(display(image, exposure=exposure))
+            name: png(self._displayed(frame, image))
             for name, image in images.items()
             if image is not None and name in self._pictures
         }
+
+    def _displayed(self, frame: Frame, image: np.ndarray) -> np.ndarray:
+        return display(image, exposure=frame.state.scene.exposure, gamma=self.gamma)
 
     def _draw(self, frame: Frame, encoded: dict[str, str]) -> None:
         if self.frame is not None and frame.number < self.frame.number:
@@ -500,7 +529,7 @@ class Page:
                 "samples": str(frame.samples),
             }
             write_exr(exr, {**parts, TOTAL: frame.total}, header)
-            save_png(picture, display(frame.total, exposure=frame.state.scene.exposure))
+            save_png(picture, self._displayed(frame, frame.total))
         except (ValueError, OSError) as error:
             self.message.text = str(error)
             return

@@ -165,6 +165,24 @@ def test_an_input_renders_what_it_touches(page, small):
     assert "kept: ambient, direct" in page.locator("[role=status]").first.inner_text()
 
 
+def test_the_curve_is_that_of_the_reports_viewer(page, small):
+    """Gamma in place of sRGB's curve, in the picture and in what is exported; nothing is rendered anew."""
+    image = render_terms(load(small), dict.fromkeys(TERMS), samples=256)
+    radiance = total(*(image[term].mean for term in TERMS))
+    before = source(page)
+    page.get_by_label("Picture: curve", exact=True).click()
+    page.get_by_role("option", name="gamma", exact=True).click()
+    page.wait_for_function("s => document.querySelector('img.picture').src != s", arg=before)
+    before = source(page)
+    enter(page, "Picture", "gamma", "1.5")
+    expected = np.round(255 * np.clip(radiance * load(small).exposure, 0, 1) ** (1 / 1.5)).astype(np.uint8)
+    page.wait_for_function("s => document.querySelector('img.picture').src != s", arg=before)
+    np.testing.assert_array_equal(pixels(page), expected)
+    enter(page, "Picture", "gamma", "7")
+    page.get_by_text("gamma = 7: allowed is a number in [1, 3]").wait_for()
+    np.testing.assert_array_equal(pixels(page), expected)
+
+
 def test_a_variant_and_the_camera_too(page, small):
     page.get_by_label("Estimators: ambient", exact=True).click()
     page.get_by_role("option", name="paper", exact=True).click()

@@ -72,6 +72,12 @@ def test_encoding_is_srgb():
     np.testing.assert_allclose(encode(values, exposure=1.0), expected, atol=1e-12)
 
 
+def test_encoding_by_a_power():
+    np.testing.assert_allclose(
+        encode(np.array([-1.0, 0.0, 0.125, 7.0]), exposure=2.0, gamma=2.0), [0.0, 0.0, 0.5, 1.0], atol=1e-15
+    )
+
+
 @pytest.mark.parametrize("metric", [rmse, relative_mse, lambda a, b: ssim(a, b, exposure=1.0)])
 @pytest.mark.parametrize(
     ("image", "message"),
