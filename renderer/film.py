@@ -12,7 +12,7 @@ from renderer.jit import device, kernel
 from renderer.rng import fold
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler
-from renderer.surface import closest, hit_of, put_hit, put_ray, trace, trace_group
+from renderer.surface import closest, hit_of, occlude_group, put_hit, put_ray, trace, trace_group
 from renderer.vector import Vec3, length, put, sub, vec3
 
 
@@ -26,25 +26,44 @@ class Tile(NamedTuple):
 
 
 @device
-def item_of(work: np.ndarray, item: int) -> tuple[Tile, int, int]:
-    """Tile, and the samples [first, last) of its pixels.
+def item_of(work: np.ndarray, item: int) -> tuple[Tile, int, int, int]:
+    """Tile, the samples [first, last) of its pixels, and how many of them share a camera ray.
 
-    Work is (N, 6) int64, a row `(x0, y0, x1, y1, first, last)`: many small tiles take one call of a kernel.
+    Work is (N, 7) int64, a row `(x0, y0, x1, y1, first, last, split)`: many small tiles take one call of a kernel.
     """
     tile = Tile(work[item, 0], work[item, 1], work[item, 2], work[item, 3])
-    return tile, work[item, 4], work[item, 5]
+    return tile, work[item, 4], work[item, 5], work[item, 6]
+
+
+@device
+def pixel_key(scene: SceneArrays, key: np.uint64, y: int, x: int) -> np.uint64:
+    """The key of all randomness of a pixel."""
+    return fold(key, y * scene.camera.width + x)
 
 
 @device
 def sampler_of(scene: SceneArrays, key: np.uint64, y: int, i: int, scratch: Scratch) -> Sampler:
     """Randomness of sight i of row y."""
-    return Sampler(fold(key, y * scene.camera.width + scratch.x[i]), np.uint32(scratch.index[i]))
+    return Sampler(pixel_key(scene, key, y, scratch.x[i]), np.uint32(scratch.index[i]))
 
 
 @device
-def samples_of_row(tile: Tile, first: int, last: int) -> int:
-    """Number of samples [first, last) of all pixels of a row of a tile."""
-    return (tile.x1 - tile.x0) * (last - first)
+def sights_of(first: int, last: int, split: int) -> tuple[int, int]:
+    """Sights [begin, end) of the samples [first, last) of a pixel, of which `split` share one."""
+    return first // split, (last + split - 1) // split
+
+
+@device
+def samples_of(sight: int, split: int, first: int, last: int) -> tuple[int, int]:
+    """Samples [begin, end), among [first, last) of a pixel, that a sight is for."""
+    return max(first, sight * split), min(last, (sight + 1) * split)
+
+
+@device
+def sights_of_row(tile: Tile, first: int, last: int, split: int) -> int:
+    """Number of sights of the samples [first, last) of all pixels of a row of a tile."""
+    begin, end = sights_of(first, last, split)
+    return (tile.x1 - tile.x0) * (end - begin)
 
 
 @device
@@ -56,27 +75,28 @@ def see(
     start: int,
     first: int,
     last: int,
+    split: int,
     scratch: Scratch,
 ) -> int:
-    """Trace `scratch.sights`, the next 8 of a row's samples from `start` on, pixel by pixel; returns how many.
+    """Trace `scratch.sights`, the next 8 of a row's sights from `start` on, pixel by pixel; returns how many.
 
-    Samples of one pixel, or of a few beside each other, go the same way: they make a packet (20 ns a ray in place of 87
-    singly, in the Cornell box). Rays through one point of
-    their pixel are one ray, traced for its first sample alone.
+    A sight is what one camera ray sees, for `split` samples. Those of one pixel, or of a few beside each other, go the
+    same way: they make a packet (20 ns a ray in place of 87 singly, in the Cornell box). Rays through one point of
+    their pixel are one ray, traced for its first sight alone.
     """
     sights = scratch.sights
     free = scene.camera.rule == JITTER or not scene.skips.pixel
-    samples = last - first
-    count = min(SIZE, samples_of_row(tile, first, last) - start)
-    x = tile.x0 + start // samples
-    index = first + start % samples
+    begin, end = sights_of(first, last, split)
+    count = min(SIZE, sights_of_row(tile, first, last, split) - start)
+    x = tile.x0 + start // (end - begin)
+    index = begin + start % (end - begin)
     for i in range(count):
-        if index == last:
+        if index == end:
             x += 1
-            index = first
+            index = begin
         scratch.x[i] = x
         scratch.index[i] = index
-        if free or index == first:
+        if free or index == begin:
             ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, y, i, scratch))
             put_ray(sights, i, ray.origin, ray.direction)
             if not free:
@@ -93,20 +113,35 @@ def see(
 
 
 @device
-def accumulate(out: np.ndarray, scratch: Scratch, y: int, i: int, radiance: Vec3) -> None:
-    """Add the radiance of sight i of row y to its pixel of (H, W, 3) float64."""
-    x = scratch.x[i]
+def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
+    """Add a radiance to a pixel of (H, W, 3) float64."""
     out[y, x, 0] += radiance.x
     out[y, x, 1] += radiance.y
     out[y, x, 2] += radiance.z
 
 
 @device
-def darken(scratch: Scratch, asking: int) -> None:
-    """Make black what the first `asking` of `scratch.rays` found hidden."""
-    for k in range(asking):
-        if scratch.rays.found[k]:
-            put(scratch.radiance, scratch.lane[k], Vec3(0.0, 0.0, 0.0))
+def settle(
+    scene: SceneArrays,
+    waiting: int,
+    asking: int,
+    far: float,
+    coherent: bool,
+    y: int,
+    out: np.ndarray,
+    scratch: Scratch,
+) -> None:
+    """Add the first `waiting` samples of a row to their pixels, in order; the first `asking` rays may hide theirs.
+
+    `far`, `coherent`: see `occlude_group`.
+    """
+    if asking > 0:
+        occlude_group(scene, scratch.rays, asking, far, coherent, scratch)
+        for k in range(asking):
+            if scratch.rays.found[k]:
+                put(scratch.radiance, scratch.lane[k], vec3(scratch.hidden, scratch.lane[k]))
+    for i in range(waiting):
+        accumulate(out, y, scratch.column[i], vec3(scratch.radiance, i))
 
 
 class GeometryImages(NamedTuple):

@@ -5,6 +5,7 @@ it. Each is a row of SKIPS and can be switched off (`Engine(scene, without=...)`
 **economy** takes fewer samples for the same expectation. A **reuse** takes a result that exists.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Collection
 from typing import Literal
@@ -13,6 +14,7 @@ import attrs
 import numpy as np
 
 from renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of
+from renderer.film import sights_of
 from renderer.openness import open_sides
 from renderer.photon_map import KEPT_BYTES
 from renderer.terms.variant import Chain, Stored, Variant
@@ -323,6 +325,11 @@ def _lights(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     return f"one of {count} emitters is chosen by what it may send to the point"
 
 
+def _splitting(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    split = variant.split(scene)
+    return f"{split} samples leave what one of them sees" if split > 1 else None
+
+
 ECONOMIES: dict[str, Economy] = {
     economy.name: economy
     for economy in (
@@ -330,6 +337,12 @@ ECONOMIES: dict[str, Economy] = {
             "aimed", "photons that meet nothing", "those in the cone around the scene carry its flux", _aimed
         ),
         Economy("lights", "samples of far lights", "each is as likely as its light at the point", _lights),
+        Economy(
+            "splitting",
+            "camera rays",
+            "each sample's point is as likely as with a ray of its own",
+            _splitting,
+        ),
         Economy("roulette", "faint chains", "those that go on carry the light of all", _roulette),
     )
 }
@@ -375,10 +388,22 @@ def _same_maps(scene: Scene, variants: dict[Term, Variant], chain: Chain) -> boo
     return len(kinds) == 1 and scene.photons.scattering == "diffuse"
 
 
+def powers_of_two(samples: int) -> tuple[int, ...]:
+    """1, 2, 4, ... below `samples`, then `samples`: the prefixes of a run."""
+    return (*(2**i for i in range((samples - 1).bit_length())), samples)
+
+
+def camera_rays(samples: int, split: int) -> int:
+    """Camera rays of a pixel, `split` samples to one, in all prefixes of a run."""
+    parts = itertools.pairwise((0, *powers_of_two(samples)))
+    return sum(end - begin for begin, end in (sights_of(first, last, split) for first, last in parts))
+
+
 def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: frozenset[str]) -> list[Step]:
     term = variant.term
     pixels = scene.resolution[0] * scene.resolution[1]
-    rays = samples * pixels
+    split = 1 if "splitting" in without else variant.split(scene)
+    sights = camera_rays(samples, split)
     applied = {
         name: reason
         for name, skip in SKIPS.items()
@@ -386,22 +411,27 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
     }
     kernel = f"kernel {variant.estimator} ({variant.name})"
     if "term" in applied:
-        return [Step(term, kernel, "skip", applied["term"], {"rays": rays}, at_most=False)]
+        return [Step(term, kernel, "skip", applied["term"], {"rays": sights * pixels}, at_most=False)]
     steps = [Step(term, kernel, "runs", "the scene has this term")]
-    outside = samples * int(np.count_nonzero(~may_see(scene)))
+    outside = sights * int(np.count_nonzero(~may_see(scene)))
 
     def skip(name: str, work: str, *, at_most: bool = False, **saved: int) -> None:
         counts = {counter.replace("_", " "): count for counter, count in saved.items()}
         steps.append(Step(term, work, "skip", applied[name], counts, at_most))
 
+    if split > 1 and (reason := ECONOMIES["splitting"].reason(scene, variant, chain)):
+        spared = (samples - sights) * pixels
+        steps.append(
+            Step(term, ECONOMIES["splitting"].work, "economy", reason, {"rays": spared}, at_most=True)
+        )
     if "window" in applied:
         skip("window", "pixels without objects", rays=outside)
     if "pixel" in applied:
         calls = 1 + (samples - 1).bit_length()  # of the kernel, one a prefix
-        skip("pixel", "a pixel's further camera rays", at_most=True, rays=(samples - calls) * pixels)
+        skip("pixel", "a pixel's further camera rays", at_most=True, rays=(sights - calls) * pixels)
     if term == "ambient":
         if "occlusion" in applied:
-            skip("occlusion", "occlusion rays", at_most=True, occlusion_rays=rays)
+            skip("occlusion", "occlusion rays", at_most=True, occlusion_rays=samples * pixels)
         else:
             steps.append(Step(term, "occlusion rays", "runs", "one a sample that hits"))
     if "open" in applied:

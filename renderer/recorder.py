@@ -6,8 +6,8 @@ local variables; the densities alone are evaluated beside them.
 
 A process of its own, `NUMBA_DISABLE_JIT=1 python -m renderer.recorder`, because functions are plain for a whole process
 or not at all. It reads pickled requests from standard input and writes pickled answers to standard output:
-`(scene arrays, term, variant)` once, then `(inputs or None, key, x, y, sample)` -> `(events, radiance)`; inputs of None
-are those before. Its parent is `renderer.replay`.
+`(scene arrays, term, variant)` once, then `(inputs or None, key, x, y, sample, split)` -> `(events, radiance)`; inputs
+of None are those before. Its parent is `renderer.replay`.
 """
 
 import functools
@@ -88,8 +88,14 @@ class Recorder:
 
     def sample_ambient(self, given: Any, sampled: Any, caller: FrameType) -> None:
         """Its radiance if nothing hides it."""
-        radiance, direction, asks = sampled
-        self.note("ambient light", direction=direction, unhidden=radiance, asks=bool(asks))
+        radiance, direction = sampled
+        self.note("ambient light", direction=direction, unhidden=radiance)
+
+    def ambient_light(self, given: Any, found: Any, caller: FrameType) -> None:
+        """The radiance of a surface for which no ray has to ask."""
+        radiance, asks = found
+        if not asks:
+            self.note("ambient light", unhidden=radiance)
 
     def occluded(self, given: Any, hidden: bool, caller: FrameType) -> None:
         """One occlusion ray."""
@@ -214,6 +220,7 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     surface.occlude_group,
     ambient.sample_hemisphere,
     ambient.sample_ambient,
+    ambient.ambient_light,
     lights.pick,
     lights._pick_by_light,
     lights.sample_light,
@@ -271,13 +278,14 @@ def main() -> None:
     inputs: tuple[Any, ...] = ()
     while True:
         try:
-            given, key, x, y, sample = pickle.load(requests)
+            given, key, x, y, sample, split = pickle.load(requests)
         except EOFError:
             return
         inputs = inputs if given is None else given
         recorder.events = []
         out = np.zeros((scene.camera.height, scene.camera.width, 3))
-        driver(scene, *inputs, key, np.array([[x, y, x + 1, y + 1, sample, sample + 1]]), out, scratch)
+        work = np.array([[x, y, x + 1, y + 1, sample, sample + 1, split]])
+        driver(scene, *inputs, key, work, out, scratch)
         pickle.dump((recorder.events, out[y, x]), answers)
         answers.flush()
 

@@ -122,13 +122,13 @@ class _Recorded(Engine):
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
-        ((x, y, x1, y1, first, last),) = work.tolist()
+        ((x, y, x1, y1, first, last, split),) = work.tolist()
         given: tuple | None = inputs
         for index in range(first, last):
-            one, alone = np.array([[x, y, x1, y1, index, index + 1]]), np.zeros_like(out)
+            one, alone = np.array([[x, y, x1, y1, index, index + 1, split]]), np.zeros_like(out)
             super()._run(variant, inputs, key, one, alone, cancel)
             super()._run(variant, inputs, key, one, out, cancel)
-            events, traced = self._trace((given, key, x, y, index))
+            events, traced = self._trace((given, key, x, y, index, split))
             given = None
             self.samples.append(Sample(index, events, alone[y, x], _ulp(traced, alone[y, x])))
 

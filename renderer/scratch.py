@@ -23,9 +23,11 @@ class Scratch(NamedTuple):
     stack : int32, STACK_SIZE.
     counts : int64, one of each of COUNTERS, only ever added to.
     sights : the rays through a pixel and what they see.
-    x, index : (8,) int64 each, the pixel's column and the sample's number of each sight.
-    rays : the occlusion rays that leave what is seen; `lane` (8,) int64 is the sight of each.
-    radiance : (8, 3) float64, of each sight.
+    x, index : (8,) int64 each, the pixel's column and the number within the pixel of each sight.
+    column : (8,) int64, the pixel's column of each sample that waits for its occlusion ray.
+    radiance, hidden : (8, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
+    rays : the occlusion rays; `lane` (8,) int64 is the sample of each.
+    u, v : (8,) float64 each, points of the unit square.
     """
 
     stack: np.ndarray
@@ -33,9 +35,13 @@ class Scratch(NamedTuple):
     sights: Group
     x: np.ndarray
     index: np.ndarray
+    column: np.ndarray
+    radiance: np.ndarray
+    hidden: np.ndarray
     rays: Group
     lane: np.ndarray
-    radiance: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
 
 
 def new_scratch() -> Scratch:
@@ -46,7 +52,11 @@ def new_scratch() -> Scratch:
         new_group(),
         np.zeros(SIZE, np.int64),
         np.zeros(SIZE, np.int64),
-        new_group(),
         np.zeros(SIZE, np.int64),
         np.zeros((SIZE, 3)),
+        np.zeros((SIZE, 3)),
+        new_group(),
+        np.zeros(SIZE, np.int64),
+        np.zeros(SIZE),
+        np.zeros(SIZE),
     )

@@ -22,23 +22,7 @@ class Sampler(NamedTuple):
     index: np.uint32
 
 
-def _second_dimension() -> np.ndarray:
-    """The four byte tables of Sobol's second dimension, (4, 256) uint32: index bytes to XOR-ed columns."""
-    columns = [0x80000000]
-    for _ in range(31):
-        columns.append(columns[-1] ^ (columns[-1] >> 1))
-    table = np.zeros((4, 256), np.uint32)
-    for byte in range(4):
-        for value in range(256):
-            for bit in range(8):
-                if value >> bit & 1:
-                    table[byte, value] ^= np.uint32(columns[8 * byte + bit])
-    return table
-
-
-_SECOND = _second_dimension()
-_MASK = np.uint32(0xFF)
-_U1, _U2, _U4, _U8, _U16, _U24 = (np.uint32(n) for n in (1, 2, 4, 8, 16, 24))
+_U1, _U2, _U4, _U8, _U16 = (np.uint32(n) for n in (1, 2, 4, 8, 16))
 _BITS_1, _BITS_2 = np.uint32(0x55555555), np.uint32(0x33333333)
 _BITS_4, _BITS_8 = np.uint32(0x0F0F0F0F), np.uint32(0x00FF00FF)
 _LK_1, _LK_2, _LK_3 = np.uint32(0x3D20ADEA), np.uint32(0x05526C56), np.uint32(0x53A22864)
@@ -52,6 +36,19 @@ def _reverse(x: np.uint32) -> np.uint32:
     x = ((x >> _U4) & _BITS_4) | ((x & _BITS_4) << _U4)
     x = ((x >> _U8) & _BITS_8) | ((x & _BITS_8) << _U8)
     return np.uint32((x >> _U16) | (x << _U16))
+
+
+@device
+def _second_dimension(x: np.uint32) -> np.uint32:
+    """Sobol's second dimension of an index, in reversed bits: `r_k = XOR of i_b with C(b, k) odd`.
+
+    C(b, k) is odd where b has all bits of k (Lucas), so that the sum over b is one over each bit of k in turn.
+    """
+    x = np.uint32(x ^ (x >> _U16))
+    x = np.uint32(x ^ ((x >> _U8) & _BITS_8))
+    x = np.uint32(x ^ ((x >> _U4) & _BITS_4))
+    x = np.uint32(x ^ ((x >> _U2) & _BITS_2))
+    return np.uint32(x ^ ((x >> _U1) & _BITS_1))
 
 
 @device
@@ -71,17 +68,10 @@ def sample_2d(sampler: Sampler, dimension: int) -> tuple[float, float]:
     low = np.uint32(key & np.uint64(0xFFFFFFFF))
     high = np.uint32(key >> np.uint64(32))
     more = fold(key, 0)
-    # The scrambled index in reversed bits is at once Sobol's first dimension.
-    first = _scramble_reversed(_reverse(sampler.index), low)
-    index = _reverse(first)
-    second = np.uint32(
-        _SECOND[0, index & _MASK]
-        ^ _SECOND[1, (index >> _U8) & _MASK]
-        ^ _SECOND[2, (index >> _U16) & _MASK]
-        ^ _SECOND[3, index >> _U24]
-    )
-    u = _reverse(_scramble_reversed(_reverse(first), high))
-    v = _reverse(_scramble_reversed(_reverse(second), np.uint32(more & np.uint64(0xFFFFFFFF))))
+    index = _reverse(_scramble_reversed(_reverse(sampler.index), low))
+    # The reversed bits of an index are Sobol's first dimension.
+    u = _reverse(_scramble_reversed(index, high))
+    v = _reverse(_scramble_reversed(_second_dimension(index), np.uint32(more & np.uint64(0xFFFFFFFF))))
     return (u + 0.5) * _TO_UNIT, (v + 0.5) * _TO_UNIT
 
 

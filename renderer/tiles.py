@@ -17,7 +17,16 @@ from renderer.adaptive import PILOT, SIDE, shares
 from renderer.arrays import SceneArrays, from_scene
 from renderer.film import GeometryImages, Tile, trace_centres
 from renderer.jit import warm
-from renderer.plan import ECONOMIES, SKIPS, check, may_see, needs_every_pixel, needs_photons, skipped
+from renderer.plan import (
+    ECONOMIES,
+    SKIPS,
+    check,
+    may_see,
+    needs_every_pixel,
+    needs_photons,
+    powers_of_two,
+    skipped,
+)
 from renderer.rng import root, stream
 from renderer.scratch import COUNTERS, Scratch, new_scratch
 from renderer.terms.variant import Chain, Stored, Variant
@@ -41,11 +50,6 @@ class Cancelled(Exception):
     """The caller asked the run to stop."""
 
 
-def powers_of_two(samples: int) -> tuple[int, ...]:
-    """1, 2, 4, ... below `samples`, then `samples`."""
-    return (*(2**i for i in range((samples - 1).bit_length())), samples)
-
-
 def _tiles(wanted: np.ndarray, *, least: int, side: int = TILE) -> list[Tile]:
     """Tiles that hold the wanted pixels (H, W) bool; at least `least` of them, if the image is large enough."""
     height, width = wanted.shape
@@ -61,14 +65,15 @@ def _tiles(wanted: np.ndarray, *, least: int, side: int = TILE) -> list[Tile]:
     return tiles
 
 
-def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int) -> np.ndarray:
+def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int, split: int) -> np.ndarray:
     """What samples [first, last) of the mean pixel are in each tile: one at least of each, as soon as there are any.
 
-    (N, 6) int64, as `film.item_of` reads it.
+    (N, 7) int64, as `film.item_of` reads it.
     """
     begin = np.where(first > 0, np.maximum(1, np.floor(first * share)), 0).astype(int)
     end = np.maximum(1, np.floor(last * share)).astype(int)
-    return np.column_stack([np.array(tiles, np.int64).reshape(-1, 4), begin, end])
+    item = np.array(tiles, np.int64).reshape(-1, 4)
+    return np.column_stack([item, begin, end, np.full(len(tiles), split)])
 
 
 class Engine:
@@ -228,6 +233,8 @@ class Engine:
         # Each pass has its own radius, hence its own map.
         per_map = _CHAINS_A_MAP if chain == "paper" and variant.term == "specular" else 1
         tiles = self._everywhere if needs_every_pixel(self.scene, variant.term) else self.tiles
+        # What a tile's own rays see decides its count.
+        split = 1 if self.adaptive or "splitting" in self.without else variant.split(self.scene)
         done = 0
         self._warm(variant, chain, stored, key, out)
         begin = time.perf_counter()
@@ -247,7 +254,7 @@ class Engine:
                     emitted = self.scene.photons.count
                     photons = self._shared(variant, chain, stored, key, number, emitted, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
-                self._run(variant, inputs, key, _work(tiles, share, first, last), out, cancel)
+                self._run(variant, inputs, key, _work(tiles, share, first, last, split), out, cancel)
                 if tiles is self.tiles and variant.term == "background":
                     self._add_sky(out, last - first)
                 first = last
@@ -256,7 +263,7 @@ class Engine:
             done = count
             seconds += time.perf_counter() - start
             taken[:] = count
-            for x0, y0, x1, y1, _, last in _work(tiles, share, 0, count).tolist():
+            for x0, y0, x1, y1, _, last, _ in _work(tiles, share, 0, count, split).tolist():
                 taken[y0:y1, x0:x1] = last
             yield count, out / taken, seconds
 
@@ -307,7 +314,7 @@ class Engine:
                 variant,
                 inputs,
                 stream(key, number),
-                _work(tiles, np.ones(len(tiles)), 0, PILOT),
+                _work(tiles, np.ones(len(tiles)), 0, PILOT, 1),
                 image,
                 cancel,
             )
@@ -373,7 +380,7 @@ class Engine:
             photons = self._photons(variant, chain, stored, key, 0, 1, new_scratch)
         inputs = variant.inputs(self.scene, chain, photons)
         assert variant.driver is not None
-        warm(variant.driver, self.arrays, *inputs, key, np.zeros((0, 6), np.int64), out, self._scratch())
+        warm(variant.driver, self.arrays, *inputs, key, np.zeros((0, 7), np.int64), out, self._scratch())
         self._warmed.add((variant, chain, stored))
         self.compile_seconds += time.perf_counter() - start
 

@@ -14,9 +14,10 @@ from pathlib import Path
 import attrs
 import numpy as np
 
+from renderer.plan import powers_of_two
 from renderer.scratch import COUNTERS
 from renderer.terms import Chain, Variant
-from renderer.tiles import Engine, powers_of_two
+from renderer.tiles import Engine
 from scenes.limits import Limit
 from scenes.model import BLACK, Material, Object, Scene, Toggles
 from scenes.store import PROJECT, sources_digest, write_atomically

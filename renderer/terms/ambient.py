@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import accumulate, darken, item_of, sampler_of, samples_of_row, see
+from renderer.film import item_of, pixel_key, samples_of, see, settle, sights_of_row
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
 from renderer.photon_map import PhotonMap
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler, sample_2d
-from renderer.surface import Surface, occlude_group, occluded, put_occlusion_ray, shadowed, surface_of
+from renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
 from renderer.terms.variant import Chain, Variant
 from renderer.vector import Vec3, frame, is_black, mul, put, scale, to_world, vec3
 from renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
@@ -32,6 +32,9 @@ from scenes.limits import Limit
 from scenes.model import Scene
 
 OCCLUSION = 1  # the pair of dimensions of the occlusion ray
+# Occlusion rays that leave what one camera ray sees. Rays of their own take 1.3 to 1.7 times as long to the same error
+# (four scenes, 128 x 128 pixels, 16 to 256 samples), 2 rays 1.1 to 1.3 times, 8 rays 0.9 to 1.2 times.
+SPLIT = 4
 
 COSINE, UNIFORM, PAPER, PAPER_LOOP, CONSTANT = range(5)
 
@@ -58,29 +61,28 @@ def ambient_reach(scene: SceneArrays, rule: int) -> float:
 
 
 @device
-def sample_ambient(
-    scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler
-) -> tuple[Vec3, Vec3, bool]:
-    """Ambient radiance of a surface by one direction, were that open; the direction; and whether it may be hidden.
-
-    `dark`: shadowed by the paper's rule.
-    """
+def ambient_light(scene: SceneArrays, rule: int, surface: Surface, dark: bool) -> tuple[Vec3, bool]:
+    """Ambient radiance of a surface that nothing hides, and whether rays have to ask; `dark`: by the paper's rule."""
     share = scene.materials.color if dark else scene.materials.diffuse
     radiance = mul(vec3(share, surface.object), scene.ambient)
     if scene.skips.diffuse and is_black(radiance):
-        return radiance, surface.normal, False
-    unhidden = ambient_reach(scene, rule) == 0.0
-    if scene.skips.occlusion and unhidden:
-        return radiance, surface.normal, False
-    if rule == COSINE:
-        front = surface.side > 0.0 or not scene.face_forward
-        if scene.materials.open[surface.object, 0 if front else 1]:
-            return radiance, surface.normal, False
+        return radiance, False
+    if scene.skips.occlusion and ambient_reach(scene, rule) == 0.0:
+        return radiance, False
+    front = surface.side > 0.0 or not scene.face_forward
+    return radiance, rule != COSINE or not scene.materials.open[surface.object, 0 if front else 1]
+
+
+@device
+def sample_ambient(
+    scene: SceneArrays, rule: int, radiance: Vec3, normal: Vec3, sampler: Sampler
+) -> tuple[Vec3, Vec3]:
+    """What one sample adds to `ambient_light`'s radiance if nothing hides it, and its direction."""
     u, v = sample_2d(sampler, OCCLUSION)
     local, weight = sample_hemisphere(rule, scene.rings, u, v)
-    if unhidden:
+    if ambient_reach(scene, rule) == 0.0:
         weight = 1.0
-    return scale(radiance, weight), to_world(frame(surface.normal), local), True
+    return scale(radiance, weight), to_world(frame(normal), local)
 
 
 @device
@@ -88,8 +90,11 @@ def ambient_radiance(
     scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler, scratch: Scratch
 ) -> Vec3:
     """Ambient radiance of a surface by one occlusion ray, drawn by `rule`; `dark`: shadowed by the paper's rule."""
-    radiance, direction, asks = sample_ambient(scene, rule, surface, dark, sampler)
-    if asks and occluded(scene, surface, direction, ambient_reach(scene, rule), -1, scratch):
+    radiance, asks = ambient_light(scene, rule, surface, dark)
+    if not asks:
+        return radiance
+    radiance, direction = sample_ambient(scene, rule, radiance, surface.normal, sampler)
+    if occluded(scene, surface, direction, ambient_reach(scene, rule), -1, scratch):
         return Vec3(0.0, 0.0, 0.0)
     return radiance
 
@@ -104,27 +109,39 @@ def _occlusion(
     scratch: Scratch,
 ) -> None:
     for item in range(len(work)):
-        tile, first, last = item_of(work, item)
+        tile, first, last, split = item_of(work, item)
         for y in range(tile.y0, tile.y1):
-            for start in range(0, samples_of_row(tile, first, last), SIZE):
-                count = see(scene, key, tile, y, start, first, last, scratch)
-                asking = 0
+            waiting = 0
+            asking = 0
+            sights = sights_of_row(tile, first, last, split)
+            for start in range(0, sights, SIZE):
+                count = see(scene, key, tile, y, start, first, last, split, scratch)
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
-                    radiance = Vec3(0.0, 0.0, 0.0)
                     if surface.face >= 0:
-                        dark = shadowed(scene, surface, scratch)
-                        sampler = sampler_of(scene, key, y, i, scratch)
-                        radiance, direction, asks = sample_ambient(scene, rule, surface, dark, sampler)
-                        if asks:
-                            put_occlusion_ray(scene, scratch.rays, asking, surface, direction, -1)
-                            scratch.lane[asking] = i
-                            asking += 1
-                    put(scratch.radiance, i, radiance)
-                occlude_group(scene, scratch.rays, asking, ambient_reach(scene, rule), False, scratch)
-                darken(scratch, asking)
-                for i in range(count):
-                    accumulate(out, scratch, y, i, vec3(scratch.radiance, i))
+                        radiance, asks = ambient_light(
+                            scene, rule, surface, shadowed(scene, surface, scratch)
+                        )
+                        pixel = pixel_key(scene, key, y, scratch.x[i])
+                        begin, end = samples_of(scratch.index[i], split, first, last)
+                        for sample in range(begin, end):
+                            scratch.column[waiting] = scratch.x[i]
+                            added = radiance
+                            if asks:
+                                sampler = Sampler(pixel, np.uint32(sample))
+                                added, direction = sample_ambient(
+                                    scene, rule, radiance, surface.normal, sampler
+                                )
+                                put_occlusion_ray(scene, scratch.rays, asking, surface, direction, -1)
+                                scratch.lane[asking] = waiting
+                                asking += 1
+                            put(scratch.radiance, waiting, added)
+                            put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
+                            waiting += 1
+                    if waiting + split > SIZE or start + i + 1 == sights:
+                        settle(scene, waiting, asking, ambient_reach(scene, rule), False, y, out, scratch)
+                        waiting = 0
+                        asking = 0
 
 
 def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:
@@ -149,6 +166,7 @@ VARIANTS = (
         name="cosine",
         term="ambient",
         driver=_occlusion,
+        split=lambda scene: SPLIT,
         inputs=_inputs(COSINE),
         limit=lambda scene, samples: _limit(scene),
         kind="right",
@@ -160,6 +178,7 @@ VARIANTS = (
         name="uniform",
         term="ambient",
         driver=_occlusion,
+        split=lambda scene: SPLIT,
         inputs=_inputs(UNIFORM),
         limit=lambda scene, samples: _limit(scene),
         kind="right",
@@ -171,6 +190,7 @@ VARIANTS = (
         name="paper",
         term="ambient",
         driver=_occlusion,
+        split=lambda scene: SPLIT,
         inputs=_inputs(PAPER),
         limit=lambda scene, samples: _limit(scene, factor=math.pi),
         kind="wrong",
@@ -183,6 +203,7 @@ VARIANTS = (
         name="paper-loop",
         term="ambient",
         driver=_occlusion,
+        split=lambda scene: SPLIT,
         inputs=_inputs(PAPER_LOOP),
         limit=lambda scene, samples: _limit(scene, factor=0.5, rings=scene.rings),
         kind="wrong",
@@ -194,6 +215,7 @@ VARIANTS = (
         name="constant",
         term="ambient",
         driver=_occlusion,
+        split=lambda scene: SPLIT,
         inputs=_inputs(CONSTANT),
         limit=lambda scene, samples: Limit("ambient", occluded=False, shadows=scene.shadows),
         kind="wrong",

@@ -6,7 +6,7 @@ The paper draws no lights. An emitter shows the radiance of its front side; its 
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import accumulate, item_of, samples_of_row, see
+from renderer.film import accumulate, item_of, see, sights_of_row
 from renderer.geometry.packets import SIZE
 from renderer.jit import kernel
 from renderer.scratch import Scratch
@@ -20,18 +20,18 @@ from scenes.limits import Limit
 @kernel
 def _seen(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch) -> None:
     for item in range(len(work)):
-        tile, first, last = item_of(work, item)
+        tile, first, last, _ = item_of(work, item)
         for y in range(tile.y0, tile.y1):
-            for start in range(0, samples_of_row(tile, first, last), SIZE):
-                count = see(scene, key, tile, y, start, first, last, scratch)
+            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
+                count = see(scene, key, tile, y, start, first, last, 1, scratch)
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
                     if surface.face < 0:
                         origin = vec3(scratch.sights.origins, i)
                         direction = vec3(scratch.sights.directions, i)
-                        accumulate(out, scratch, y, i, sky_radiance(scene.sky, origin, direction))
+                        accumulate(out, y, scratch.x[i], sky_radiance(scene.sky, origin, direction))
                     elif scene.draw_lights and surface.side > 0.0:
-                        accumulate(out, scratch, y, i, vec3(scene.materials.emission, surface.object))
+                        accumulate(out, y, scratch.x[i], vec3(scene.materials.emission, surface.object))
 
 
 VARIANTS = (

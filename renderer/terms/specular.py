@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import accumulate, item_of, sampler_of, samples_of_row, see
+from renderer.film import accumulate, item_of, sampler_of, see, sights_of_row
 from renderer.geometry.intersect import make_ray
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
@@ -131,10 +131,10 @@ def _chain(
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
     for item in range(len(work)):
-        tile, first, last = item_of(work, item)
+        tile, first, last, _ = item_of(work, item)
         for y in range(tile.y0, tile.y1):
-            for start in range(0, samples_of_row(tile, first, last), SIZE):
-                count = see(scene, key, tile, y, start, first, last, scratch)
+            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
+                count = see(scene, key, tile, y, start, first, last, 1, scratch)
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
                     sampler = sampler_of(scene, key, y, i, scratch)
@@ -172,7 +172,7 @@ def _chain(
                             radiance = _diffuse(
                                 scene, direct, photons, heap, chosen, surface, sampler, scratch
                             )
-                        accumulate(out, scratch, y, i, mul(throughput, radiance))
+                        accumulate(out, y, scratch.x[i], mul(throughput, radiance))
 
 
 def _inputs(lobe: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

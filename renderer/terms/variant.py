@@ -40,6 +40,7 @@ class Variant:
     equation : the estimator, as LaTeX.
     converges_to : its limit, as LaTeX.
     source : where it comes from.
+    split : scene -> how many samples of a pixel share a camera ray: splitting (Arvo, Kirk, 1990).
     photons : (scene, chain) -> which photons its maps hold: None for no map at all.
     kernel : (scene, samples) -> Kernel, the photon density estimate that stands in its place of E, whose bias vanishes
         only as the kernel shrinks; None where E is estimated without bias.
@@ -59,6 +60,7 @@ class Variant:
     driver: Callable[..., None] | None = None
     function: Function | None = None
     inputs: Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]] = lambda scene, chain, photons: ()
+    split: Callable[[Scene], int] = lambda scene: 1
     photons: Callable[[Scene, Chain], Stored | None] = lambda scene, chain: None
     kernel: Callable[[Scene, int], Kernel | None] = lambda scene, samples: None
     scatterings: tuple[Literal["diffuse", "full"], ...] = ("diffuse", "full")
