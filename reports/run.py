@@ -326,7 +326,7 @@ def _reference_samples(study: Study, limit: Limit) -> int:
     if limit.kernel is not None:
         assert study.twin_maps is not None
         # The paper's own estimate is to be told from one that is right, 1 to 2 % away.
-        paper = limit.term == "direct" and limit.kernel.shape == "nearest" and limit.kernel.scale == 1.0
+        paper = limit.kernel.shape == "nearest" and limit.kernel.scale == 1.0
         return study.twin_maps * (2 if paper else 1)
     if limit.transport == "physical":
         return study.physical_spp
