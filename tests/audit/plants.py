@@ -78,8 +78,8 @@ PLANTS = (
         "ambient: occlusion drawn but not applied",
         AMBIENT,
         _AMBIENT,
-        "                darken(scratch, asking)\n",
-        "",
+        "settle(scene, waiting, asking, ambient_reach(scene, rule), False, y, out, scratch)",
+        "settle(scene, waiting, 0, ambient_reach(scene, rule), False, y, out, scratch)",
     ),
     Plant(
         "normal not turned to the viewer",
@@ -141,8 +141,8 @@ PLANTS = (
         "direct: shadow ray too short",
         DIRECT,
         _DIRECT,
-        "occlude_group(scene, scratch.rays, asking, 1.0, True, scratch)",
-        "occlude_group(scene, scratch.rays, asking, 0.2, True, scratch)",
+        "settle(scene, waiting, asking, 1.0, True, y, out, scratch)",
+        "settle(scene, waiting, asking, 0.2, True, y, out, scratch)",
     ),
     Plant(
         "diffuse weight without (1 - g)",
