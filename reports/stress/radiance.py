@@ -17,7 +17,6 @@ import reference
 from renderer import render
 from renderer.film import accumulate
 from renderer.jit import kernel
-from renderer.scratch import Scratch, new_scratch
 from renderer.vector import Vec3
 from reports.stress.row import Row
 from scenes.analytic import closed_box, disc_over_plane, furnace, plate, rectangle_light
@@ -152,9 +151,9 @@ def beside(count: int) -> Iterator[Row]:
 
 
 @kernel
-def _add(out: np.ndarray, scratch: Scratch, times: int, value: float) -> None:
+def _add(out: np.ndarray, times: int, value: float) -> None:
     for _ in range(times):
-        accumulate(out, scratch, 0, 0, Vec3(value, value, value))
+        accumulate(out, 0, 0, Vec3(value, value, value))
 
 
 def additions(count: int) -> Iterator[Row]:
@@ -163,7 +162,7 @@ def additions(count: int) -> Iterator[Row]:
 
         def drift(value: float = value) -> float:
             out = np.zeros((1, 1, 3))
-            _add(out, new_scratch(), _ADDITIONS, value)
+            _add(out, _ADDITIONS, value)
             return abs(float(Fraction(float(out[0, 0, 0])) / (_ADDITIONS * Fraction(value)) - 1))
 
         yield Row(f"1e8 times {value:.3g}", "relative error of the sum", _ADDITIONS * 2.0**-53, drift)
