@@ -16,6 +16,8 @@ from typing import Any
 
 import attrs
 
+from renderer.plan import camera_rays
+from renderer.terms.ambient import SPLIT
 from reports.bench.common import known, machine, positive, spread
 from reports.bench.worker import Load
 from scenes.store import PROJECT
@@ -43,12 +45,17 @@ def _samples(load: Load) -> int:
     return load.resolution**2 * load.samples
 
 
+def _rays(load: Load) -> int:
+    """Occlusion rays, one a sample, and the camera's."""
+    return _samples(load) + load.resolution**2 * camera_rays(load.samples, SPLIT)
+
+
 AXES = {
-    # 1280 to 1.3 million triangles; a camera ray and an occlusion ray a sample.
+    # 1280 to 1.3 million triangles.
     "triangles": Axis(
         {20 * 4**n: Load("ball", "ambient", subdivisions=n, samples=8) for n in (3, 4, 5, 6, 7, 8)},
         "ray",
-        lambda load: 2 * _samples(load),
+        _rays,
     ),
     "pixels": Axis(
         {n**2: attrs.evolve(_AMBIENT, resolution=n, samples=4) for n in (32, 64, 128, 256, 512)},

@@ -1,0 +1,81 @@
+"""Splitting: samples that share a camera ray, how many rays that leaves, and the mean that is not moved."""
+
+from typing import Any
+
+import attrs
+import numpy as np
+import pytest
+from scipy import stats
+
+from renderer import Engine, find
+from renderer.film import samples_of, sights_of
+from renderer.plan import camera_rays
+from renderer.terms.ambient import SPLIT
+from scenes.load import load
+from scenes.model import Scene
+
+BOX = attrs.evolve(load("cornell_box"), scope="first-hit", resolution=(8, 6))
+
+
+@pytest.mark.parametrize("split", [1, 3, 4, 8])
+def test_sights_share_out_all_samples(split):
+    """Of any part of a run, each sample belongs to one sight, and none of them to more than `split`."""
+    for first in range(12):
+        for last in range(first + 1, 20):
+            begin, end = sights_of(first, last, split)
+            parts = [range(*samples_of(sight, split, first, last)) for sight in range(begin, end)]
+            assert [sample for part in parts for sample in part] == list(range(first, last))
+            assert all(1 <= len(part) <= split for part in parts)
+
+
+@pytest.mark.parametrize("term", ["ambient", "direct"])
+def test_a_ray_serves_four_samples(term):
+    """All pixels of the box see something: the rays are counted, with splitting and without."""
+    pixels = BOX.resolution[0] * BOX.resolution[1]
+    for without, rays in (((), 16 // SPLIT), (("splitting",), 16)):
+        with Engine(BOX, threads=1, without=without) as engine:
+            list(engine.prefixes(find(term), samples=16, seed=1, replicate=0, counts=(16,)))
+        assert engine.counts["rays"] == rays * pixels
+    with Engine(BOX, threads=1) as engine:
+        list(engine.prefixes(find(term), samples=16, seed=1, replicate=0))
+    assert engine.counts["rays"] == camera_rays(16, SPLIT) * pixels
+
+
+@pytest.mark.parametrize("term", ["ambient", "direct"])
+def test_a_run_in_parts_has_the_bits_of_the_whole(term):
+    """Parts that end amid the samples of a sight."""
+    with Engine(BOX, threads=2) as engine:
+        *_, (_, whole, _) = engine.prefixes(find(term), samples=11, seed=3, replicate=2, counts=(11,))
+        *_, (_, parts, _) = engine.prefixes(find(term), samples=11, seed=3, replicate=2, counts=(1, 6, 7, 11))
+    assert whole.tobytes() == parts.tobytes()
+
+
+def test_one_point_light_leaves_nothing_to_split():
+    """Its sample is the same whatever the number: only camera rays make a difference. Photon maps have a ray each."""
+    monkey, direct = load("monkey"), find("direct")
+    assert len(monkey.lights) == 1
+    assert direct.split(attrs.evolve(monkey, scope="first-hit")) == 1
+    assert direct.split(attrs.evolve(monkey, scope="first-hit", lights=monkey.lights * 2)) > 1
+    assert direct.split(attrs.evolve(BOX, scope="all")) == 1
+
+
+@pytest.mark.parametrize(
+    ("scene", "term"), [(BOX, "ambient"), (BOX, "direct"), (load("two_cubes"), "ambient")]
+)
+def test_the_mean_is_not_moved(scene: Scene, term: str, compiled):
+    """Over 64 replicates of 8 samples, by Welch's test of each 8 x 8 tile and channel."""
+    if not compiled:
+        pytest.skip("128 renders of Python's")
+    scene = attrs.evolve(scene, resolution=(32, 24))
+    means = []
+    for without, seed in (((), 3), (("splitting",), 4)):
+        with Engine(scene, without=without) as engine:
+            stack = []
+            for replicate in range(64):
+                *_, (_, image, _) = engine.prefixes(find(term), samples=8, seed=seed, replicate=replicate)
+                stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
+            means.append(np.array(stack))
+    noisy = (means[0].var(axis=0) > 0) & (means[1].var(axis=0) > 0)
+    tested: Any = stats.ttest_ind(means[0][:, noisy], means[1][:, noisy], equal_var=False)
+    assert noisy.sum() >= 20
+    assert tested.pvalue.min() > 1e-3 / noisy.sum()
