@@ -15,6 +15,9 @@ from renderer.sobol import Sampler
 from renderer.surface import closest, hit_of, occlude_group, put_hit, put_ray, trace, trace_group
 from renderer.vector import Vec3, length, put, sub, vec3
 
+# Samples of a pixel that have a camera ray each: edges need some before the rest shares.
+ALONE = 8
+
 
 class Tile(NamedTuple):
     """Pixels x0 <= x < x1, y0 <= y < y1."""
@@ -48,15 +51,31 @@ def sampler_of(scene: SceneArrays, key: np.uint64, y: int, i: int, scratch: Scra
 
 
 @device
+def _first_of(sight: int, split: int) -> int:
+    return sight if sight < ALONE else ALONE + (sight - ALONE) * split
+
+
+@device
+def _sight_of(sample: int, split: int) -> int:
+    return sample if sample < ALONE else ALONE + (sample - ALONE) // split
+
+
+@device
 def sights_of(first: int, last: int, split: int) -> tuple[int, int]:
-    """Sights [begin, end) of the samples [first, last) of a pixel, of which `split` share one."""
-    return first // split, (last + split - 1) // split
+    """Sights [begin, end) of the samples [first, last) of a pixel: one for each of ALONE, then one for `split`."""
+    return _sight_of(first, split), _sight_of(last - 1, split) + 1
 
 
 @device
 def samples_of(sight: int, split: int, first: int, last: int) -> tuple[int, int]:
     """Samples [begin, end), among [first, last) of a pixel, that a sight is for."""
-    return max(first, sight * split), min(last, (sight + 1) * split)
+    return max(first, _first_of(sight, split)), min(last, _first_of(sight + 1, split))
+
+
+@device
+def most_of(last: int, split: int) -> int:
+    """The most samples that a sight of samples [0, last) is for."""
+    return split if last > ALONE else 1
 
 
 @device

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import item_of, pixel_key, samples_of, see, settle, sights_of_row
+from renderer.film import item_of, most_of, pixel_key, samples_of, see, settle, sights_of_row
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
 from renderer.photon_map import PhotonMap
@@ -138,7 +138,7 @@ def _occlusion(
                             put(scratch.radiance, waiting, added)
                             put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
                             waiting += 1
-                    if waiting + split > SIZE or start + i + 1 == sights:
+                    if waiting + most_of(last, split) > SIZE or start + i + 1 == sights:
                         settle(scene, waiting, asking, ambient_reach(scene, rule), False, y, out, scratch)
                         waiting = 0
                         asking = 0

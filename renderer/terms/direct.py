@@ -13,6 +13,7 @@ from renderer.arrays import SceneArrays
 from renderer.film import (
     accumulate,
     item_of,
+    most_of,
     pixel_key,
     sampler_of,
     samples_of,
@@ -155,7 +156,7 @@ def _next_event(
                                 scratch.lane[asking] = waiting
                                 asking += 1
                             waiting += 1
-                    if waiting + split > SIZE or start + i + 1 == sights:
+                    if waiting + most_of(last, split) > SIZE or start + i + 1 == sights:
                         settle(scene, waiting, asking, 1.0, True, y, out, scratch)
                         waiting = 0
                         asking = 0

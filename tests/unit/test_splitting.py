@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from renderer import Engine, find
-from renderer.film import samples_of, sights_of
+from renderer.film import ALONE, most_of, samples_of, sights_of
 from renderer.plan import camera_rays
 from renderer.terms.ambient import SPLIT
 from scenes.load import load
@@ -19,34 +19,38 @@ BOX = attrs.evolve(load("cornell_box"), scope="first-hit", resolution=(8, 6))
 
 @pytest.mark.parametrize("split", [1, 3, 4, 8])
 def test_sights_share_out_all_samples(split):
-    """Of any part of a run, each sample belongs to one sight, and none of them to more than `split`."""
-    for first in range(12):
-        for last in range(first + 1, 20):
+    """Of any part of a run, each sample belongs to one sight: alone at first, then `split` of them together."""
+    for first in range(24):
+        for last in range(first + 1, 40):
             begin, end = sights_of(first, last, split)
             parts = [range(*samples_of(sight, split, first, last)) for sight in range(begin, end)]
             assert [sample for part in parts for sample in part] == list(range(first, last))
-            assert all(1 <= len(part) <= split for part in parts)
+            assert all(len(part) == 1 for part in parts if part.start < ALONE)
+            assert all(len(part) == split for part in parts[1:-1] if part.start >= ALONE)
+            assert all(1 <= len(part) <= most_of(last, split) for part in parts)
 
 
 @pytest.mark.parametrize("term", ["ambient", "direct"])
-def test_a_ray_serves_four_samples(term):
+def test_camera_rays_are_shared(term):
     """All pixels of the box see something: the rays are counted, with splitting and without."""
     pixels = BOX.resolution[0] * BOX.resolution[1]
-    for without, rays in (((), 16 // SPLIT), (("splitting",), 16)):
+    for without, rays in (((), 8 + 24 // SPLIT), (("splitting",), 32)):
         with Engine(BOX, threads=1, without=without) as engine:
-            list(engine.prefixes(find(term), samples=16, seed=1, replicate=0, counts=(16,)))
+            list(engine.prefixes(find(term), samples=32, seed=1, replicate=0, counts=(32,)))
         assert engine.counts["rays"] == rays * pixels
     with Engine(BOX, threads=1) as engine:
-        list(engine.prefixes(find(term), samples=16, seed=1, replicate=0))
-    assert engine.counts["rays"] == camera_rays(16, SPLIT) * pixels
+        list(engine.prefixes(find(term), samples=32, seed=1, replicate=0))
+    assert engine.counts["rays"] == camera_rays(32, SPLIT) * pixels
 
 
 @pytest.mark.parametrize("term", ["ambient", "direct"])
 def test_a_run_in_parts_has_the_bits_of_the_whole(term):
     """Parts that end amid the samples of a sight."""
     with Engine(BOX, threads=2) as engine:
-        *_, (_, whole, _) = engine.prefixes(find(term), samples=11, seed=3, replicate=2, counts=(11,))
-        *_, (_, parts, _) = engine.prefixes(find(term), samples=11, seed=3, replicate=2, counts=(1, 6, 7, 11))
+        *_, (_, whole, _) = engine.prefixes(find(term), samples=19, seed=3, replicate=2, counts=(19,))
+        *_, (_, parts, _) = engine.prefixes(
+            find(term), samples=19, seed=3, replicate=2, counts=(1, 6, 9, 15, 19)
+        )
     assert whole.tobytes() == parts.tobytes()
 
 
@@ -63,7 +67,7 @@ def test_one_point_light_leaves_nothing_to_split():
     ("scene", "term"), [(BOX, "ambient"), (BOX, "direct"), (load("two_cubes"), "ambient")]
 )
 def test_the_mean_is_not_moved(scene: Scene, term: str, compiled):
-    """Over 64 replicates of 8 samples, by Welch's test of each 8 x 8 tile and channel."""
+    """Over 64 replicates of 24 samples, by Welch's test of each 8 x 8 tile and channel."""
     if not compiled:
         pytest.skip("128 renders of Python's")
     scene = attrs.evolve(scene, resolution=(32, 24))
@@ -72,7 +76,7 @@ def test_the_mean_is_not_moved(scene: Scene, term: str, compiled):
         with Engine(scene, without=without) as engine:
             stack = []
             for replicate in range(64):
-                *_, (_, image, _) = engine.prefixes(find(term), samples=8, seed=seed, replicate=replicate)
+                *_, (_, image, _) = engine.prefixes(find(term), samples=24, seed=seed, replicate=replicate)
                 stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
             means.append(np.array(stack))
     noisy = (means[0].var(axis=0) > 0) & (means[1].var(axis=0) > 0)
