@@ -14,7 +14,7 @@ import attrs
 import numpy as np
 
 from renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of
-from renderer.film import sights_of
+from renderer.film import ALONE, sights_of
 from renderer.openness import open_sides
 from renderer.photon_map import KEPT_BYTES
 from renderer.terms.variant import Chain, Stored, Variant
@@ -327,7 +327,7 @@ def _lights(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 def _splitting(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     split = variant.split(scene)
-    return f"{split} samples leave what one of them sees" if split > 1 else None
+    return f"after {ALONE} samples, {split} leave what one of them sees" if split > 1 else None
 
 
 ECONOMIES: dict[str, Economy] = {
@@ -419,8 +419,8 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
         counts = {counter.replace("_", " "): count for counter, count in saved.items()}
         steps.append(Step(term, work, "skip", applied[name], counts, at_most))
 
-    if split > 1 and (reason := ECONOMIES["splitting"].reason(scene, variant, chain)):
-        spared = (samples - sights) * pixels
+    spared = (samples - sights) * pixels
+    if spared and (reason := ECONOMIES["splitting"].reason(scene, variant, chain)):
         steps.append(
             Step(term, ECONOMIES["splitting"].work, "economy", reason, {"rays": spared}, at_most=True)
         )

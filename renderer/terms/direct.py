@@ -40,9 +40,6 @@ from scenes.limits import Kernel, Limit
 from scenes.model import Scene
 
 LIGHT = 2  # the pairs 2 and 3 place a sample on a light
-# Light samples of what one camera ray sees. Rays of their own take 1.2 to 1.8 times as long to the same error, where
-# lights have an area (three scenes, 128 x 128 pixels, 16 to 256 samples).
-SPLIT = 4
 BOUNCE = 4  # the direction of the next vertex of a path
 ROULETTE = 5
 _PATH = 64  # keys of a path's vertices: beyond the pairs above
@@ -225,12 +222,6 @@ def _nearest(
                         accumulate(out, y, scratch.x[i], radiance)
 
 
-def _split(scene: Scene) -> int:
-    """One where each sample has a photon map, or where a single point light leaves nothing to sample."""
-    only = len(scene.lights) == 1 and not any(thing.emits for thing in scene.objects)
-    return 1 if scene.scope == "all" or only else SPLIT
-
-
 def _limit(scene: Scene, samples: int) -> Limit:
     """E_all; with photons that scatter on the full BSDF, all light that the diffuse lobe reflects."""
     if scene.photons.scattering == "full":
@@ -273,7 +264,6 @@ VARIANTS = (
         r" + \frac{1}{\pi} \sum_p \Phi_p K_r(x_p - x) / M_r \Big]",
         converges_to=r"E / \pi \;\; (r \to 0;\ \text{exact for first-hit})",
         source="light sampling for the first hit; progressive photon mapping (Knaus, Zwicker, TOG 2011) for the rest",
-        split=_split,
         inputs=lambda scene, chain, photons: (photons,),
         photons=lambda scene, chain: "scattered" if scene.scope == "all" else None,
         kernel=lambda scene, samples: (

@@ -14,7 +14,7 @@ from renderer.terms.ambient import SPLIT
 from scenes.load import load
 from scenes.model import Scene
 
-BOX = attrs.evolve(load("cornell_box"), scope="first-hit", resolution=(8, 6))
+BOX = attrs.evolve(load("cornell_box"), resolution=(8, 6))
 
 
 @pytest.mark.parametrize("split", [1, 3, 4, 8])
@@ -30,43 +30,30 @@ def test_sights_share_out_all_samples(split):
             assert all(1 <= len(part) <= most_of(last, split) for part in parts)
 
 
-@pytest.mark.parametrize("term", ["ambient", "direct"])
-def test_camera_rays_are_shared(term):
+def test_camera_rays_are_shared():
     """All pixels of the box see something: the rays are counted, with splitting and without."""
     pixels = BOX.resolution[0] * BOX.resolution[1]
     for without, rays in (((), 8 + 24 // SPLIT), (("splitting",), 32)):
         with Engine(BOX, threads=1, without=without) as engine:
-            list(engine.prefixes(find(term), samples=32, seed=1, replicate=0, counts=(32,)))
+            list(engine.prefixes(find("ambient"), samples=32, seed=1, replicate=0, counts=(32,)))
         assert engine.counts["rays"] == rays * pixels
     with Engine(BOX, threads=1) as engine:
-        list(engine.prefixes(find(term), samples=32, seed=1, replicate=0))
+        list(engine.prefixes(find("ambient"), samples=32, seed=1, replicate=0))
     assert engine.counts["rays"] == camera_rays(32, SPLIT) * pixels
 
 
-@pytest.mark.parametrize("term", ["ambient", "direct"])
-def test_a_run_in_parts_has_the_bits_of_the_whole(term):
+def test_a_run_in_parts_has_the_bits_of_the_whole():
     """Parts that end amid the samples of a sight."""
     with Engine(BOX, threads=2) as engine:
-        *_, (_, whole, _) = engine.prefixes(find(term), samples=19, seed=3, replicate=2, counts=(19,))
+        *_, (_, whole, _) = engine.prefixes(find("ambient"), samples=19, seed=3, replicate=2, counts=(19,))
         *_, (_, parts, _) = engine.prefixes(
-            find(term), samples=19, seed=3, replicate=2, counts=(1, 6, 9, 15, 19)
+            find("ambient"), samples=19, seed=3, replicate=2, counts=(1, 6, 9, 15, 19)
         )
     assert whole.tobytes() == parts.tobytes()
 
 
-def test_one_point_light_leaves_nothing_to_split():
-    """Its sample is the same whatever the number: only camera rays make a difference. Photon maps have a ray each."""
-    monkey, direct = load("monkey"), find("direct")
-    assert len(monkey.lights) == 1
-    assert direct.split(attrs.evolve(monkey, scope="first-hit")) == 1
-    assert direct.split(attrs.evolve(monkey, scope="first-hit", lights=monkey.lights * 2)) > 1
-    assert direct.split(attrs.evolve(BOX, scope="all")) == 1
-
-
-@pytest.mark.parametrize(
-    ("scene", "term"), [(BOX, "ambient"), (BOX, "direct"), (load("two_cubes"), "ambient")]
-)
-def test_the_mean_is_not_moved(scene: Scene, term: str, compiled):
+@pytest.mark.parametrize("scene", [BOX, load("two_cubes")])
+def test_the_mean_is_not_moved(scene: Scene, compiled):
     """Over 64 replicates of 24 samples, by Welch's test of each 8 x 8 tile and channel."""
     if not compiled:
         pytest.skip("128 renders of Python's")
@@ -76,7 +63,9 @@ def test_the_mean_is_not_moved(scene: Scene, term: str, compiled):
         with Engine(scene, without=without) as engine:
             stack = []
             for replicate in range(64):
-                *_, (_, image, _) = engine.prefixes(find(term), samples=24, seed=seed, replicate=replicate)
+                *_, (_, image, _) = engine.prefixes(
+                    find("ambient"), samples=24, seed=seed, replicate=replicate
+                )
                 stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
             means.append(np.array(stack))
     noisy = (means[0].var(axis=0) > 0) & (means[1].var(axis=0) > 0)
