@@ -27,7 +27,6 @@ class Scratch(NamedTuple):
     column : (8,) int64, the pixel's column of each sample that waits for its occlusion ray.
     radiance, hidden : (8, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
     rays : the occlusion rays; `lane` (8,) int64 is the sample of each.
-    u, v : (8,) float64 each, points of the unit square.
     """
 
     stack: np.ndarray
@@ -40,8 +39,6 @@ class Scratch(NamedTuple):
     hidden: np.ndarray
     rays: Group
     lane: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
 
 
 def new_scratch() -> Scratch:
@@ -57,6 +54,4 @@ def new_scratch() -> Scratch:
         np.zeros((SIZE, 3)),
         new_group(),
         np.zeros(SIZE, np.int64),
-        np.zeros(SIZE),
-        np.zeros(SIZE),
     )

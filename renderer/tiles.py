@@ -233,7 +233,7 @@ class Engine:
         # Each pass has its own radius, hence its own map.
         per_map = _CHAINS_A_MAP if chain == "paper" and variant.term == "specular" else 1
         tiles = self._everywhere if needs_every_pixel(self.scene, variant.term) else self.tiles
-        # What a tile's own rays see decides its count.
+        # Adaptive counts are so few in places that each sample needs a camera ray.
         split = 1 if self.adaptive or "splitting" in self.without else variant.split(self.scene)
         done = 0
         self._warm(variant, chain, stored, key, out)

@@ -13,10 +13,7 @@ from renderer.arrays import SceneArrays
 from renderer.film import (
     accumulate,
     item_of,
-    most_of,
-    pixel_key,
     sampler_of,
-    samples_of,
     see,
     settle,
     sights_of_row,
@@ -122,41 +119,32 @@ def _next_event(
     scratch: Scratch,
 ) -> None:
     for item in range(len(work)):
-        tile, first, last, split = item_of(work, item)
+        tile, first, last, _ = item_of(work, item)
         for y in range(tile.y0, tile.y1):
-            waiting = 0
-            asking = 0
-            sights = sights_of_row(tile, first, last, split)
-            for start in range(0, sights, SIZE):
-                count = see(scene, key, tile, y, start, first, last, split, scratch)
+            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
+                count = see(scene, key, tile, y, start, first, last, 1, scratch)
+                waiting = 0
+                asking = 0
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
                     if (
-                        surface.face >= 0
-                        and not (
-                            scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object))
-                        )
-                        and not shadowed(scene, surface, scratch)
+                        surface.face < 0
+                        or (scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object)))
+                        or shadowed(scene, surface, scratch)
                     ):
-                        scattered = estimate_irradiance(scene, photons, surface, scratch)
-                        hidden = _reflected(scene, surface, Vec3(0.0, 0.0, 0.0), scattered)
-                        pixel = pixel_key(scene, key, y, scratch.x[i])
-                        begin, end = samples_of(scratch.index[i], split, first, last)
-                        for sample in range(begin, end):
-                            sampler = Sampler(pixel, np.uint32(sample))
-                            straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
-                            scratch.column[waiting] = scratch.x[i]
-                            put(scratch.radiance, waiting, _reflected(scene, surface, straight, scattered))
-                            put(scratch.hidden, waiting, hidden)
-                            if not (scene.skips.horizon and is_black(straight)):
-                                put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
-                                scratch.lane[asking] = waiting
-                                asking += 1
-                            waiting += 1
-                    if waiting + most_of(last, split) > SIZE or start + i + 1 == sights:
-                        settle(scene, waiting, asking, 1.0, True, y, out, scratch)
-                        waiting = 0
-                        asking = 0
+                        continue
+                    scattered = estimate_irradiance(scene, photons, surface, scratch)
+                    sampler = sampler_of(scene, key, y, i, scratch)
+                    straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
+                    scratch.column[waiting] = scratch.x[i]
+                    put(scratch.radiance, waiting, _reflected(scene, surface, straight, scattered))
+                    put(scratch.hidden, waiting, _reflected(scene, surface, Vec3(0.0, 0.0, 0.0), scattered))
+                    if not (scene.skips.horizon and is_black(straight)):
+                        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
+                        scratch.lane[asking] = waiting
+                        asking += 1
+                    waiting += 1
+                settle(scene, waiting, asking, 1.0, True, y, out, scratch)
 
 
 @kernel

@@ -38,6 +38,7 @@ from scenes.terms import TERMS, TOTAL, Term
 DRAWN_S = 0.1
 """Pictures are sent no more often, but for the first after a change and the last."""
 GAMMAS = 1.0, 3.0
+"""Least and greatest gamma, as in the report's viewer."""
 # A tab that is away for longer is closed, and has lost its state. Its work rests from the first moment; the browser is
 # asked every 0.8 of this time whether it is there, and has 0.4 of it to answer: 3 s were too few on a busy machine.
 _GONE_S = 30.0

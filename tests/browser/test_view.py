@@ -166,7 +166,7 @@ def test_an_input_renders_what_it_touches(page, small):
 
 
 def test_the_curve_is_that_of_the_reports_viewer(page, small):
-    """Gamma in place of sRGB's curve, in the picture and in what is exported; nothing is rendered anew."""
+    """Gamma in place of sRGB's curve, to the bit; a wrong one is refused, and the picture stays."""
     image = render_terms(load(small), dict.fromkeys(TERMS), samples=256)
     radiance = total(*(image[term].mean for term in TERMS))
     before = source(page)

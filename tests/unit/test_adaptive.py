@@ -15,6 +15,7 @@ from renderer import Engine, find
 from renderer.adaptive import SIDE, shares
 from renderer.film import Tile
 from scenes.load import load
+from scenes.model import Scene
 
 TILES = [Tile(0, 0, 4, 4), Tile(4, 0, 8, 4), Tile(0, 4, 4, 8), Tile(4, 4, 8, 8)]
 
@@ -71,6 +72,26 @@ def test_counts_are_those_of_the_shares(compiled):
     assert 8 * pixels < engine.counts["rays"] <= (8 + 16) * pixels
 
 
+def tile_means(scene: Scene, term: str, *, samples: int, seed: int, **settings: Any) -> np.ndarray:
+    """Means of the 8 x 8 tiles and channels of 32 x 24 pixels, (64 replicates, 36)."""
+    with Engine(attrs.evolve(scene, resolution=(32, 24)), **settings) as engine:
+        stack = []
+        for replicate in range(64):
+            *_, (_, image, _) = engine.prefixes(
+                find(term, None), samples=samples, seed=seed, replicate=replicate
+            )
+            stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
+    return np.array(stack)
+
+
+def assert_same_mean(one: np.ndarray, other: np.ndarray) -> None:
+    """By Welch's test of each tile and channel."""
+    noisy = (one.var(axis=0) > 0) & (other.var(axis=0) > 0)
+    tested: Any = stats.ttest_ind(one[:, noisy], other[:, noisy], equal_var=False)
+    assert noisy.sum() >= 20
+    assert tested.pvalue.min() > 1e-3 / noisy.sum()
+
+
 @pytest.mark.parametrize(
     ("scene_name", "term"),
     [("cornell_box", "ambient"), ("cornell_box", "specular"), ("two_cubes", "ambient")],
@@ -78,24 +99,14 @@ def test_counts_are_those_of_the_shares(compiled):
 def test_the_mean_is_not_moved(scene_name, term, compiled):
     if not compiled:
         pytest.skip("2048 renders of Python's")
-    scene = attrs.evolve(load(scene_name), resolution=(32, 24))
-    means = []
-    for adaptive, seed in ((True, 3), (False, 4)):
-        # A camera ray for each sample, as adaptive counts have it.
-        with Engine(scene, adaptive=adaptive, without=("splitting",)) as engine:
-            stack = []
-            for replicate in range(64):
-                *_, (_, image, _) = engine.prefixes(
-                    find(term, None), samples=8, seed=seed, replicate=replicate
-                )
-                stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
-            means.append(np.array(stack))
-    noisy = (means[0].var(axis=0) > 0) & (means[1].var(axis=0) > 0)
-    tested: Any = stats.ttest_ind(means[0][:, noisy], means[1][:, noisy], equal_var=False)
-    assert noisy.sum() >= 20
-    assert tested.pvalue.min() > 1e-3 / noisy.sum()
+    # A camera ray for each sample, as adaptive counts have it.
+    adaptive, even = (
+        tile_means(load(scene_name), term, samples=8, seed=seed, adaptive=adaptive, without=("splitting",))
+        for adaptive, seed in ((True, 3), (False, 4))
+    )
+    assert_same_mean(adaptive, even)
     # And what it is for: less noise at the same count.
-    assert means[0].var(axis=0).sum() < means[1].var(axis=0).sum()
+    assert adaptive.var(axis=0).sum() < even.var(axis=0).sum()
 
 
 def test_photon_maps_are_refused():

@@ -1,11 +1,7 @@
 """Splitting: samples that share a camera ray, how many rays that leaves, and the mean that is not moved."""
 
-from typing import Any
-
 import attrs
-import numpy as np
 import pytest
-from scipy import stats
 
 from renderer import Engine, find
 from renderer.film import ALONE, most_of, samples_of, sights_of
@@ -13,6 +9,7 @@ from renderer.plan import camera_rays
 from renderer.terms.ambient import SPLIT
 from scenes.load import load
 from scenes.model import Scene
+from tests.unit.test_adaptive import assert_same_mean, tile_means
 
 BOX = attrs.evolve(load("cornell_box"), resolution=(8, 6))
 
@@ -56,19 +53,8 @@ def test_a_run_in_parts_has_the_bits_of_the_whole():
 def test_the_mean_is_not_moved(scene: Scene, compiled):
     """Over 64 replicates of 24 samples, by Welch's test of each 8 x 8 tile and channel."""
     if not compiled:
-        pytest.skip("128 renders of Python's")
-    scene = attrs.evolve(scene, resolution=(32, 24))
-    means = []
-    for without, seed in (((), 3), (("splitting",), 4)):
-        with Engine(scene, without=without) as engine:
-            stack = []
-            for replicate in range(64):
-                *_, (_, image, _) = engine.prefixes(
-                    find("ambient"), samples=24, seed=seed, replicate=replicate
-                )
-                stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
-            means.append(np.array(stack))
-    noisy = (means[0].var(axis=0) > 0) & (means[1].var(axis=0) > 0)
-    tested: Any = stats.ttest_ind(means[0][:, noisy], means[1][:, noisy], equal_var=False)
-    assert noisy.sum() >= 20
-    assert tested.pvalue.min() > 1e-3 / noisy.sum()
+        pytest.skip("128 images take minutes as plain Python")
+    assert_same_mean(
+        tile_means(scene, "ambient", samples=24, seed=3),
+        tile_means(scene, "ambient", samples=24, seed=4, without=("splitting",)),
+    )
