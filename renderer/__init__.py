@@ -4,6 +4,8 @@
 scene needs.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from renderer.photon_map import KEPT_BYTES
@@ -70,6 +72,7 @@ def render_terms(
     chain: Chain = "next-event",
     threads: int | None = None,
     adaptive: bool = False,
+    report: Callable[[str, int, int], None] = lambda term, done, total: None,
 ) -> dict[str, TermImage]:
     """Render several terms, the same bits as one by one; see `render`.
 
@@ -79,6 +82,7 @@ def render_terms(
     Parameters
     ----------
     variants : the estimator of each term to render; None: the term's default.
+    report : called with (term, samples done, samples of all terms and replicates), first before a term compiles.
     """
     if replicates < 1:
         raise ValueError(f"replicates = {replicates}: allowed is at least 1")
@@ -86,12 +90,20 @@ def render_terms(
     images: dict[str, list[np.ndarray]] = {term: [] for term in variants}
     seconds = dict.fromkeys(variants, 0.0)
     kept = KEPT_BYTES if len(variants) > 1 else 0
+    total, before = samples * replicates * len(estimators), 0
     with Engine(scene, threads=threads, adaptive=adaptive, map_bytes=kept) as engine:
         for replicate in range(replicates):
             for term, estimator in estimators.items():
+                report(term, before, total)
                 *_, (_, image, spent) = engine.prefixes(
-                    estimator, samples=samples, seed=seed, replicate=replicate, chain=chain
+                    estimator,
+                    samples=samples,
+                    seed=seed,
+                    replicate=replicate,
+                    chain=chain,
+                    progress=lambda done, _, term=term, before=before: report(term, before + done, total),
                 )
+                before += samples
                 images[term].append(image)
                 seconds[term] += spent
     return {

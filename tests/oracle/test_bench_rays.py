@@ -16,7 +16,7 @@ KEYS = {"mesh", "triangles", "kind", "ours_mrays", "mitsuba_mrays", "ratio", "ra
 def test_every_kind_of_ray_hits_alike(monkeypatch, tmp_path):
     """36 and 968 triangles, all kinds: hit or miss is Mitsuba's for all but 1 ray in 1000, and the file says all."""
     monkeypatch.setattr(rays, "_SHORTEST", 0.0)
-    assert cli.rays(mesh=["boxes", "monkey"], pairs=1, count=4096, out=tmp_path) == 0
+    assert cli.measuring.rays(mesh=["boxes", "monkey"], pairs=1, count=4096, out=tmp_path) == 0
     measured = json.loads((tmp_path / "bench" / "rays.json").read_text("utf-8"))
     assert [(case["mesh"], case["kind"]) for case in measured["cases"]] == [
         (mesh, kind) for mesh in ("boxes", "monkey") for kind in rays.KINDS

@@ -36,7 +36,7 @@ def black(scene, samples, seed):
 
 
 def test_a_wrong_estimator_is_caught(tmp_path):
-    cli._run_file(EXAMPLE)
+    cli.runs.run_file(EXAMPLE)
     assert registered("ambient") == ("gamma-space",)
     small = attrs.evolve(
         study.with_registered(study.load("quick")),

@@ -136,7 +136,7 @@ def test_a_tiny_scaling_run_says_all(monkeypatch, tmp_path):
         {16: Load("two_cubes", "ambient", resolution=4, samples=2)}, "sample", lambda load: 32
     )
     monkeypatch.setattr(scaling, "AXES", {"pixels": tiny, "threads": tiny})
-    assert cli.scaling(axis=["pixels", "threads"], runs=2, threads=2, out=tmp_path) == 0
+    assert cli.measuring.scaling(axis=["pixels", "threads"], runs=2, threads=2, out=tmp_path) == 0
     measured = json.loads((tmp_path / "bench" / "scaling.json").read_text("utf-8"))
     assert [(case["axis"], case["value"], case.get("processes")) for case in measured["cases"]] == [
         ("pixels", 16, None), ("threads", 1, 1), ("threads", 2, 1), ("threads", 2, 2),

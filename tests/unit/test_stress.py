@@ -374,7 +374,7 @@ def test_command_and_page(tmp_path, monkeypatch, capsys):
         Row("bad", "a count", 0.0, lambda: 1.0),
     ]
     monkeypatch.setattr(intersection, "rows", lambda count: iter(rows))
-    status = cli.stress(group=["intersection"], out=tmp_path, json_=True)
+    status = cli.measuring.stress(group=["intersection"], out=tmp_path, json_=True)
     found = json.loads(capsys.readouterr().out)
     assert status == 1
     assert found["failed"] == 1
@@ -387,7 +387,7 @@ def test_command_and_page(tmp_path, monkeypatch, capsys):
     assert "good &amp; true" in text
     assert "a &lt;count&gt;" in text
     assert "termwise stress --group intersection --case bad" in text
-    assert cli.stress(group=["intersection"], case="good", out=tmp_path) == 0
+    assert cli.measuring.stress(group=["intersection"], case="good", out=tmp_path) == 0
     assert "0 failed" in capsys.readouterr().out
     with pytest.raises(ValueError, match="no such file"):
         page.write(tmp_path)

@@ -1,0 +1,66 @@
+"""termwise: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, view, bench and stress.
+
+Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`; of `diff`, something became
+worse; of `stress`, a row failed); 2: bad input, or a run, or one of its scenes, that could not end. With --json one
+object goes to standard output, all else to standard error.
+"""
+
+import importlib.metadata
+import sys
+
+import cyclopts
+
+from reports.cli import judging, measuring, places, rendering, runs, terminal
+
+app = cyclopts.App(
+    name="termwise",
+    help="The rendering equation term by term: is an estimator biased, by how much, where, and how sure are you?",
+    error_console=terminal.messages,
+    error_formatter=lambda error: f"termwise: {' '.join(str(error).split())}",
+    version=lambda: importlib.metadata.version("termwise"),
+    print_error=True,
+    exit_on_error=False,
+    suppress_keyboard_interrupt=False,
+)
+bench = cyclopts.App(name="bench", help="Measure speed beside Mitsuba's, both in one run.")
+app.command(bench)
+for command in (
+    runs.compare,
+    runs.diff,
+    runs.figure,
+    judging.judge,
+    places.inspect,
+    places.replay,
+    rendering.render,
+    rendering.reference,
+    rendering.plan,
+    rendering.scenes,
+    rendering.view,
+    measuring.stress,
+):
+    app.command(command)
+for command in (measuring.rays, measuring.terms, measuring.scaling, measuring.economies):
+    bench.command(command)
+bench.command(measuring.bench_view, name="view")
+
+
+def main() -> None:
+    """Run the command; every foreseeable fault is one line on standard error and exit status 2."""
+    from reference.backend import BackendError
+
+    try:
+        status = app(sys.argv[1:], exit_on_error=False)
+    except cyclopts.CycloptsError:
+        status = 2  # already printed, in one line
+    except KeyboardInterrupt:
+        terminal.fail("interrupted: finished replicates are kept, the same command goes on from there")
+        status = 2
+    except OSError as error:
+        # NumPy says how much of an array it wrote, without a file or a number for the error.
+        why = error.strerror or f"a file was cut short ({error}): is the disk full?"
+        terminal.fail(f"{error.filename or 'writing'}: {why}")
+        status = 2
+    except (ValueError, BackendError) as error:
+        terminal.fail(str(error))
+        status = 2
+    sys.exit(status)

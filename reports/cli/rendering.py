@@ -1,0 +1,338 @@
+"""Scenes and their images: render, reference, plan, scenes and view."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import attrs
+from rich.table import Table
+
+from reports import progress
+from reports.cli import terminal
+from reports.cli.terminal import Flag, Integer, Json, MaybeInteger, Quiet, Resolution
+from scenes.load import library, load
+from scenes.terms import TERMS
+
+
+def render(
+    scene: str,
+    *,
+    term: str | None = None,
+    variant: list[str] | None = None,
+    samples: Integer = 16,
+    replicates: Integer = 1,
+    seed: Integer = 0,
+    threads: MaybeInteger = None,
+    resolution: Resolution = None,
+    adaptive: bool = False,
+    out: Path = Path("out"),
+    quiet: Quiet = False,
+    json_: Json = False,
+) -> int:
+    """Render a scene, or one of its terms, into an OpenEXR file and a PNG picture.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    term
+        ambient, direct, specular or background; without it all four and their sum.
+    variant
+        An estimator of the term, its default if not given. Without --term: TERM=NAME, once for each term.
+    samples
+        Samples per pixel and replicate; powers of two are best.
+    replicates
+        Independent repetitions that are averaged; two or more give a variance.
+    seed
+        Equal seeds give equal bits.
+    threads
+        One per core if not given.
+    resolution
+        Width and height, instead of the scene's.
+    adaptive
+        Give noisier tiles more samples, as a discarded pilot of 8 says; SAMPLES is then the mean. For estimators
+        without photon maps; it pays from about 100 samples on.
+    out
+        Files go to OUT/render.
+    quiet
+        No progress on standard error.
+    json_
+        Print what was rendered as JSON on standard output.
+    """
+    import renderer
+
+    described = terminal.scene(scene, resolution)
+    terminal.check_seed(seed)
+    folder = terminal.folder(out / "render")
+    terms = TERMS if term is None else (term,)
+    variants = _variants(terms, variant or []) if term is None else _variant(term, variant or [])
+    with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
+        found = renderer.render_terms(
+            described,
+            variants,
+            samples=samples,
+            replicates=replicates,
+            seed=seed,
+            threads=threads,
+            adaptive=adaptive,
+            report=stage("Samples"),
+        )
+    settings = {
+        "samples": samples,
+        "replicates": replicates,
+        "seed": seed,
+        "variant": " ".join(variant or ["default"]),
+    }
+    return _write_images(described, found, folder, settings | {"adaptive": adaptive}, json_)
+
+
+def _variant(term: str, given: list[str]) -> dict[str, str | None]:
+    """The estimator of one term."""
+    if len(given) > 1:
+        raise ValueError(f"variant = {', '.join(given)}: allowed is one with term = {term!r}")
+    return {term: given[0] if given else None}
+
+
+def _variants(terms: tuple[str, ...], given: list[str]) -> dict[str, str | None]:
+    """The estimator of each term, from words TERM=NAME."""
+    chosen: dict[str, str | None] = dict.fromkeys(terms)
+    for word in given:
+        term, equals, name = word.partition("=")
+        if not equals or term not in terms:
+            raise ValueError(
+                f"variant = {word!r}: allowed is TERM=NAME, or NAME with --term; terms are {', '.join(terms)}"
+            )
+        chosen[term] = name
+    return chosen
+
+
+def reference(
+    scene: str,
+    *,
+    term: str | None = None,
+    physical: Flag = False,
+    spp: Integer = 64,
+    replicates: Integer = 4,
+    seed: Integer = 0,
+    resolution: Resolution = None,
+    export: Path | None = None,
+    out: Path = Path("out"),
+    backend: str | None = None,
+    quiet: Quiet = False,
+    json_: Json = False,
+) -> int:
+    """Render a scene's terms with Mitsuba, or export a script that does so without Termwise.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    term
+        ambient, direct, specular or background; without it all four and their sum.
+    physical
+        Full light transport, split by the lobe at the camera, instead of the paper's terms.
+    spp
+        Samples per pixel and replicate.
+    replicates
+        Independent repetitions that are averaged.
+    seed
+        Equal seeds give equal bits on one backend.
+    resolution
+        Width and height, instead of the scene's.
+    export
+        Folder for a stand-alone Mitsuba script of these references; nothing is rendered.
+    out
+        Files go to OUT/reference.
+    backend
+        Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb.
+    quiet
+        No progress on standard error.
+    json_
+        Print what was rendered as JSON on standard output.
+    """
+    import reference as mitsuba
+    from scenes import limits
+
+    terminal.choose_backend(backend)
+    described = terminal.scene(scene, resolution)
+    terminal.check_seed(seed)
+    if term is not None and term not in TERMS:
+        raise ValueError(f"term = {term!r}: allowed are {', '.join(TERMS)}")
+    wanted = {
+        each: limits.physical(each) if physical else limits.correct(each, described.scope)
+        for each in TERMS
+        if term in (None, each)
+    }
+    if export is not None:
+        from reference.backend import active
+        from reference.export import export as write
+
+        write(described, dict(wanted), export, spp=spp, seed=seed, replicates=replicates)
+        script = export / "render.py"
+        llvm = active().llvm_path
+        if json_:
+            print(json.dumps({"scene": described.name, "script": str(script)}))
+        else:
+            terminal.output.print(f"Wrote {script}", soft_wrap=True, highlight=False)
+            if llvm:
+                terminal.output.print(
+                    f"Run it with DRJIT_LIBLLVM_PATH={llvm}", soft_wrap=True, highlight=False
+                )
+        return 0
+    folder = terminal.folder(out / "reference")
+    found = {}
+    with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
+        report = stage("Terms")
+        for each, limit in wanted.items():
+            report(each, len(found), len(wanted))
+            found[each] = mitsuba.render(described, limit, spp=spp, seed=seed, replicates=replicates)
+    return _write_images(
+        described, found, folder, {"spp": spp, "replicates": replicates, "seed": seed}, json_
+    )
+
+
+def _write_images(
+    scene: Any, found: dict[str, Any], folder: Path, settings: dict[str, Any], as_json: bool
+) -> int:
+    """Write term images and their sum; report means and seconds."""
+    from reports.images import write_exr
+    from reports.page.pictures import write_png
+    from scenes.terms import total
+
+    parts = {term: image.mean for term, image in found.items()}
+    if len(parts) == len(TERMS):
+        parts["total"] = total(*(parts[term] for term in TERMS))
+    shown = "total" if "total" in parts else next(iter(parts))
+    exr, png = folder / f"{scene.name}.exr", folder / f"{scene.name}.{shown}.png"
+    header = {
+        "software": "termwise",
+        "scene": scene.name,
+        "digest": scene.digest(),
+        "settings": json.dumps(settings),
+    }
+    write_exr(exr, parts, header)
+    write_png(png, parts[shown], exposure=scene.exposure)
+    rows = {
+        term: {"mean": image.mean.mean(axis=(0, 1)).tolist(), "seconds": image.seconds}
+        for term, image in found.items()
+    }
+    if as_json:
+        print(
+            json.dumps(
+                {"scene": scene.name, "settings": settings, "terms": rows, "files": [str(exr), str(png)]}
+            )
+        )
+        return 0
+    table = Table("term", "mean radiance (R, G, B)", "seconds")
+    for term, row in rows.items():
+        table.add_row(term, "  ".join(f"{x:.6f}" for x in row["mean"]), f"{row['seconds']:.2f}")
+    terminal.output.print(table)
+    terminal.output.print(f"{exr}\n{png}", soft_wrap=True, highlight=False)
+    return 0
+
+
+def plan(
+    scene: str,
+    *,
+    samples: Integer = 16,
+    resolution: Resolution = None,
+    json_: Json = False,
+) -> int:
+    """Say what a scene needs: what runs, what is skipped, why, and how much work that saves.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    samples
+        Samples per pixel, for the counts of work.
+    resolution
+        Width and height, instead of the scene's.
+    json_
+        Print the plan as JSON on standard output.
+    """
+    from renderer.plan import plan as steps_of
+    from renderer.terms import find
+
+    if samples < 1:
+        raise ValueError(f"samples = {samples}: allowed is at least 1")
+    steps = steps_of(
+        terminal.scene(scene, resolution),
+        {term: find(term) for term in TERMS},
+        samples=samples,
+        together=True,
+    )
+    if json_:
+        found = [attrs.asdict(step) for step in steps]
+        print(json.dumps({"scene": scene, "samples": samples, "steps": found}))
+        return 0
+    colours = {"runs": "", "skip": "green", "economy": "cyan", "reuse": "cyan"}
+    table = terminal.table("term", "work", "", "why", "saved")
+    before = None
+    for step in steps:
+        saved = ", ".join(f"{count:,} {name}" for name, count in step.saved.items())
+        table.add_row(
+            step.term if step.term != before else "",
+            step.work,
+            f"[{colours[step.kind]}]{step.kind}[/]" if colours[step.kind] else step.kind,
+            step.reason,
+            f"at most {saved}" if saved and step.at_most else saved,
+        )
+        before = step.term
+    terminal.output.print(table)
+    return 0
+
+
+def scenes(*, json_: Json = False) -> int:
+    """List the scenes of the library.
+
+    Parameters
+    ----------
+    json_
+        Print the list as JSON on standard output.
+    """
+    rows = []
+    for name in library():
+        scene = load(name)
+        triangles = sum(len(thing.mesh.faces) for thing in scene.objects)
+        lights = len(scene.lights) + sum(thing.emits for thing in scene.objects)
+        rows.append({"name": name, "objects": len(scene.objects), "triangles": triangles, "lights": lights})
+        rows[-1] |= {"scope": scene.scope, "max_bounces": scene.max_bounces, "digest": scene.digest()}
+    if json_:
+        print(json.dumps({"scenes": rows}))
+        return 0
+    table = Table("scene", "objects", "triangles", "lights", "scope", "bounces")
+    for row in rows:
+        values = (row["objects"], row["triangles"], row["lights"], row["scope"], row["max_bounces"])
+        table.add_row(row["name"], *map(str, values))
+    terminal.output.print(table)
+    return 0
+
+
+def view(
+    scene: str = "two_cubes",
+    *,
+    port: MaybeInteger = None,
+    browser: bool = True,
+    out: Path = Path("out"),
+) -> int:
+    """Open a local page on which every input is set and each term is watched while it converges.
+
+    Parameters
+    ----------
+    scene
+        A name of the library or the path of a scene file.
+    port
+        Of 127.0.0.1; a free one if not given.
+    browser
+        Open it in a browser.
+    out
+        What is saved goes to OUT/view, nothing elsewhere.
+    """
+    from reports.view.page import serve
+
+    def announce(address: str) -> None:
+        terminal.output.print(f"termwise view: {address} (Ctrl-C ends it)", highlight=False)
+
+    serve(scene, out / "view", port=port, browser=browser, announce=announce)
+    return 0

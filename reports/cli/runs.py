@@ -1,0 +1,306 @@
+"""Studies and what is made of them: compare, diff and figure."""
+
+import functools
+import json
+import re
+import runpy
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import attrs
+from cyclopts import Parameter
+
+from reports import progress
+from reports.cli import terminal
+from reports.cli.terminal import Flag, Json, MaybeInteger, Quiet
+from scenes.strict import FileError
+
+
+def _duration(_kind: Any, tokens: Any) -> float:
+    """Seconds of `90`, `90s`, `2m` or `1h`."""
+    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)([smh]?)", tokens[0].value)
+    seconds = float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[found[2]] if found else 0.0
+    if not 0.0 < seconds < float("inf"):
+        raise ValueError(f"{tokens[0].value!r}: allowed is a time above 0 such as 90, 90s, 2m or 1h")
+    return seconds
+
+
+def compare(
+    *scenes: str,
+    study: str = "standard",
+    budget: Annotated[float | None, Parameter(converter=_duration, n_tokens=1)] = None,
+    seed: MaybeInteger = None,
+    estimators: Path | None = None,
+    out: Path = Path("out"),
+    backend: str | None = None,
+    quiet: Quiet = False,
+    single_file: Flag = False,
+    json_: Json = False,
+) -> int:
+    """Render scenes with ours and with Mitsuba, judge every term, write the report.
+
+    Parameters
+    ----------
+    scenes
+        Names of the library or paths of scene files; all scenes of the study if none.
+    study
+        quick, standard, full, or the path of a study file.
+    budget
+        Seconds of rendering (90, 90s, 2m, 1h), ours and Mitsuba's together: rows that the study leaves undecided get
+        2, 4, 8 times its replicates, until they are decided or the budget is spent.
+    seed
+        Instead of the study's: the whole run again with other random numbers.
+    estimators
+        A Python file that calls `termwise.register`: what it registers is measured too.
+    out
+        The report goes to OUT/compare, or to the folder that the study names.
+    backend
+        Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given.
+    quiet
+        No progress on standard error.
+    single_file
+        Write report.html too: all pages in one file, to mail.
+    json_
+        Print results.json on standard output; no progress.
+    """
+    from reports import page, run, subjects
+    from reports import study as studies
+
+    mitsuba = terminal.choose_backend(backend)
+    if estimators is not None:
+        run_file(estimators)
+    chosen = studies.with_registered(studies.load(study))
+    if budget is not None:
+        chosen = attrs.evolve(chosen, budget=budget)
+    if seed is not None:
+        chosen = attrs.evolve(chosen, seed=seed)
+    prepared = subjects.scenes_of(chosen, scenes)
+    folder = terminal.folder(out / chosen.folder)
+    try:
+        results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
+    except ValueError as error:
+        terminal.messages.print(f"termwise: {error}; it is written again", highlight=False, markup=False)
+        results = None
+    if results is None:
+        with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
+            named = {
+                scene.name: given for scene, given in zip(prepared, scenes or chosen.scenes, strict=True)
+            }
+            results = run.measure(
+                chosen,
+                prepared,
+                folder,
+                name=Path(study).stem,
+                report=stage("Measuring"),
+                arguments={"study": study, "scenes": named},
+            )
+            page.write(folder, report=stage("Pages"))
+    elif not quiet:
+        terminal.messages.print("Nothing has changed since the last run: no cell was computed.")
+    index = folder / "index.html"
+    if single_file:
+        from reports.page import single
+
+        index = single.write(folder)
+    if json_:
+        print(json.dumps(results))
+    else:
+        _print_results(results)
+        terminal.output.print(f"\nReport: {index.resolve()}", soft_wrap=True)
+    for each in results["failed"]:
+        terminal.fail(f"{each['scene']}: failed, and stands in no row: {each['error']}")
+    if results["failed"]:
+        return 2
+    return 1 if run.failures(results) else 0
+
+
+def run_file(path: Path) -> None:
+    """Execute a Python file of the user's."""
+    if not path.is_file():
+        raise FileError(f"{path}: no such file: allowed is a Python file that calls termwise.register")
+    runpy.run_path(str(path), run_name=path.stem)
+
+
+def _print_results(results: dict[str, Any]) -> None:
+    judged = [row for row in results["cells"] if row["verdict"] is not None]
+    certified = results["settings"]["certified"]
+    for scene in results["settings"]["scenes"]:
+        columns = ("term", "variant", "bias [90 %] in %", "RMSE", "SSIM", "s", "verdict")
+        if certified["budget"] is not None:
+            columns = ("term", "variant", "bias [90 %] in %", "K", "ours s", "ref. s", "verdict")
+        table = terminal.table(*columns, title=scene)
+        for row in judged:
+            if row["scene"] != scene:
+                continue
+            absent = row["verdict"] == "ABSENT"
+            low, high = 100 * row["bias_low"], 100 * row["bias_high"]
+            colour = terminal.COLOURS.get(row["verdict"], "dim" if absent else "yellow")
+            if certified["budget"] is not None:
+                numbers = str(row["replicates"]), f"{row['seconds']:.1f}", f"{row['reference_seconds']:.1f}"
+            else:
+                numbers = (
+                    "" if absent else f"{row['rmse']:.3g}",
+                    "" if absent or row["ssim"] is None else f"{row['ssim']:.3f}",
+                    f"{row['seconds']:.1f}",
+                )
+            table.add_row(
+                row["term"],
+                row["variant"],
+                "" if absent else f"{100 * row['bias']:+.2f} \\[{low:+.2f}, {high:+.2f}]",
+                *numbers,
+                f"[{colour}]{row['verdict']}[/{colour}]",
+            )
+        terminal.output.print(table)
+    known = [row for row in judged if row.get("group")]
+    for group in dict.fromkeys(row["group"] for row in known):
+        words = [row["verdict"] for row in known if row["group"] == group]
+        counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+        terminal.output.print(f"\n[bold]{group}[/bold], its answer known: {counts}", highlight=False)
+    _print_certified(certified)
+    for row in judged:
+        if row["verdict"] in terminal.PROVEN or (row["verdict"] == "UNDERPOWERED" and not row.get("group")):
+            where = f"{row['scene']}: {row['term']} {row['variant']}"
+            terminal.output.print(f"{where}: {row['sentence']}", highlight=False, soft_wrap=True)
+
+
+def _print_certified(certified: dict[str, Any]) -> None:
+    """What it took to show that the rows that passed are right."""
+    ours, reference = certified["seconds"], certified["reference_seconds"]
+    text = (
+        f"[bold]{ours + reference:.1f} s to certify |bias| < {certified['margin']:.0%}[/bold] in {certified['rows']} "
+        f"of {certified['of']} rows: ours {ours:.1f} s, reference {reference:.1f} s; our kernels compiled in "
+        f"{certified['compile_seconds']:.1f} s, apart."
+    )
+    if certified["budget"] is not None:
+        looks = ", ".join(map(str, certified["looks"]))
+        text += f" Budget {certified['budget']:g} s: {certified['spent']:.1f} s spent, looks at K = {looks}."
+    terminal.output.print(f"\n{text}", highlight=False, soft_wrap=True)
+
+
+def diff(
+    run_a: Path,
+    run_b: Path,
+    *,
+    out: Path = Path("out"),
+    json_: Json = False,
+) -> int:
+    """Say what changed from one run to another in verdict, bias, error and time, with a test before "worse" is said.
+
+    Parameters
+    ----------
+    run_a
+        The folder of a finished run: what was before.
+    run_b
+        Another: what is now.
+    out
+        The page goes to OUT/diff.
+    json_
+        Print the differences as JSON on standard output.
+    """
+    from reports import stored
+    from reports.diff import diff as compared
+    from reports.page import diff as page
+
+    found = compared(stored.read(run_a), stored.read(run_b)) | {
+        "runs": [str(run_a), str(run_b)],
+        "command": terminal.command(),
+    }
+    folder = terminal.folder(out / "diff")
+    index = page.write(found, folder)
+    if json_:
+        print(json.dumps(found))
+    else:
+        _print_diff(found)
+        terminal.output.print(f"\nReport: {index.resolve()}", soft_wrap=True)
+    return 1 if found["any_worse"] else 0
+
+
+_FINDINGS = {"worse": "red", "better": "green", "changed": "yellow"}
+
+
+def _print_diff(found: dict[str, Any]) -> None:
+    """Differences of settings, then what is proven, then every row."""
+    say = functools.partial(terminal.output.print, highlight=False, soft_wrap=True)
+    for each in found["settings"]:
+        say(f"{each['name']}: {_plain(each['before'])} -> {_plain(each['after'])}", markup=False)
+    if not found["settings"]:
+        say("Settings: the same.")
+    for each in found["failed"]:
+        was = "failed before too" if each["before"] and each["after"] else "failed"
+        say(
+            f"{each['scene']}: {was if each['after'] else 'failed before'}: {each['after'] or each['before']}"
+        )
+    for scene in dict.fromkeys(row["scene"] for row in found["rows"]):
+        table = terminal.table("term", "variant", "bias", "RMSE", "time", "verdict", title=scene)
+        for row in found["rows"]:
+            if row["scene"] == scene:
+                changes = [_change(name, row[name]) for name in ("bias", "error", "time")]
+                table.add_row(row["term"], row["variant"], *changes, _verdicts(row["verdict"]))
+        terminal.output.print(table)
+    for which, keys in (("first", found["only_before"]), ("second", found["only_after"])):
+        if keys:
+            say(f"\nOnly in the {which} run: {', '.join(' '.join(key) for key in keys)}", markup=False)
+    say(
+        "\nBias: difference in percentage points; RMSE and time: in percent; 90 % intervals. Coloured where proven by "
+        f"{found['tests']} tests at {found['level']:.0%} together (Holm), beyond "
+        f"{found['tolerated']['bias']:.1%}, {found['tolerated']['error']:.0%} and {found['tolerated']['time']:.0%}."
+    )
+    for sentence in found["untested"]:
+        say(f"Not tested: {sentence}.")
+    if found["time_median"] is not None:
+        say(f"Seconds, median over all rows: {found['time_median']:.2f} times as many.")
+    say(f"[bold]Worse: {found['worse']} of {len(found['rows'])} rows; better: {found['better']}.[/bold]")
+
+
+def _change(measure: str, change: dict[str, Any] | None) -> str:
+    """A change and half its interval, named and coloured where it is proven."""
+    from reports.diff import said
+
+    if change is None:
+        return ""
+    half = max(change["high"] - change["change"], change["change"] - change["low"])
+    text = f"{100 * change['change']:+.2f} ± {100 * half:.2f}"
+    finding = change["finding"]
+    return f"[{_FINDINGS[finding]}]{text} {said(measure, finding)}[/]" if finding else text
+
+
+def _verdicts(verdict: dict[str, Any]) -> str:
+    before, after = (verdict[name] or "NOT JUDGED" for name in ("before", "after"))
+    finding = verdict["finding"]
+    return f"{before} -> [{_FINDINGS[finding]}]{after}[/]" if finding else after
+
+
+def _plain(value: Any) -> str:
+    """A setting in a word or two; a digest by its first digits."""
+    text = "none" if value is None else ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return text[:12] if len(text) == 64 and " " not in text else text
+
+
+def figure(
+    run: Path,
+    *,
+    scene: str,
+    term: str,
+    kind: Literal["convergence", "waterfall"] = "convergence",
+    out: Path,
+) -> int:
+    """Draw a chart of a finished run for print: vectors, 85 mm wide, legible in grey.
+
+    Parameters
+    ----------
+    run
+        The folder of a finished run.
+    scene, term
+        Of the chart.
+    kind
+        convergence: error against samples and seconds; waterfall: the parts of the error against full light
+        transport.
+    out
+        The file to write, .pdf or .svg.
+    """
+    from reports import figure as figures
+    from reports import stored
+
+    figures.write(stored.read(run), scene=scene, term=term, kind=kind, path=out)
+    terminal.output.print(str(out), soft_wrap=True, highlight=False)
+    return 0

@@ -1,0 +1,86 @@
+"""What all commands share: the two streams, the types of options, tables, and how a fault is said."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import attrs
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+
+from scenes.load import load
+from scenes.model import Scene
+
+messages = Console(stderr=True, soft_wrap=True)
+output = Console()
+
+
+def _integer(_kind: Any, tokens: Any) -> int:
+    """Cyclopts alone takes 1.5 for an integer, and rounds it."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f"{tokens[0].value!r}: allowed is an integer") from None
+
+
+_whole = Parameter(converter=_integer, n_tokens=1)
+Integer = Annotated[int, _whole]
+MaybeInteger = Annotated[int | None, _whole]
+Names = Annotated[list[str] | None, Parameter(consume_multiple=True)]
+Resolution = tuple[int, int] | None
+Flag = Annotated[bool, Parameter(negative="")]
+Json = Annotated[bool, Parameter(name="--json", negative="", help="One JSON object on standard output.")]
+Quiet = Annotated[bool, Parameter(negative="", help="No progress on standard error.")]
+
+PROVEN = ("BIASED", "NOT AS PREDICTED", "NO VERDICT")
+COLOURS = {"EQUIVALENT": "green", "AS PREDICTED": "green"} | dict.fromkeys(PROVEN, "red")
+
+
+def fail(message: str) -> None:
+    """Say what went wrong in one line."""
+    print(f"termwise: {' '.join(message.split())}", file=sys.stderr)
+
+
+def scene(name: str, resolution: Resolution) -> Scene:
+    """A scene of the library or of a file, of another size if one is given."""
+    found = load(name)
+    return found if resolution is None else attrs.evolve(found, resolution=resolution)
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that not every generator takes."""
+    if not 0 <= seed < 2**31:
+        raise ValueError(f"seed = {seed}: allowed is an integer in [0, {2**31 - 1}]")
+
+
+def choose_backend(requested: str | None) -> str:
+    """Mitsuba's variant: the one requested, else the fastest that runs here."""
+    from reference import backend
+
+    return backend.choose(requested).variant
+
+
+def folder(path: Path) -> Path:
+    """Make a folder for results before the work starts that is to go there."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (NotADirectoryError, FileExistsError):
+        raise ValueError(
+            f"out = {path}: is a file, or lies in one: allowed is a folder, old or new"
+        ) from None
+    return path
+
+
+def table(*columns: str, title: str | None = None) -> Table:
+    """A table without lines, narrow enough for 80 columns: what is not a terminal has no more."""
+    heading = None if title is None else f"\n[bold]{title}"
+    return Table(
+        *columns, title=heading, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
+    )
+
+
+def command() -> str:
+    """What was typed, fit to be typed again."""
+    return shlex.join(["termwise", *sys.argv[1:]])
