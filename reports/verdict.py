@@ -15,6 +15,12 @@ a function of the Gram matrix of all replicate images alone. Its error is a dele
 the replicates of both sides with `t_{min(K, R)-1}`: a bootstrap centres on the un-debiased value and
 covered the truth in 0 of 240 trials.
 
+A sparse estimator may miss its brightest samples in all replicates, agree with itself, and lack their light. If a
+place lacks D (radiance summed over its pixels, mean of K replicates), one replicate elsewhere holds an event of E, and
+the place's own standard error is that of `m = (K SE / E)²` of them, then `λ = K D / E` are missing. By Poisson's law so
+few are met with probability `Q(m + 1, m + λ)`, `e^-λ` for m = 0: a mean is proven off only if that, too, is below the
+level of its test.
+
 There are two phases because the level of each test is 5 % over the number of tests of the whole run
 (Bonferroni): `measure` every row, add up their `tests`, then `decide` each.
 """
@@ -25,7 +31,7 @@ from typing import Any, Literal
 
 import attrs
 import numpy as np
-from scipy import sparse, stats
+from scipy import sparse, special, stats
 
 Kind = Literal["right", "wrong"]
 
@@ -60,6 +66,10 @@ TERM_FLOOR, ULP_FLOOR = 1e-6, 4.0
 """Floors of every standard error: a share of the term's mean, and float32 ulp of the reference value."""
 BAND_BYTES = 64 * 2**20
 LISTED_PIXELS = 10
+RARE_EVENT = 12.0
+"""A replicate holds a rare event where it exceeds the lower three quarters of its place by so many of their deviations.
+
+Of normal noise one place in 10^6 does (16 replicates)."""
 DISTINCT_PIXELS = 40
 """Where independent images differ in so many pixels, two are equal by chance with probability e^-40 or so."""
 
@@ -175,6 +185,11 @@ class Comparison:
         Welch-Satterthwaite; K + R - 2 where both variances are 0.
     noiseless : bool
         Both variances are 0: left out of p-histograms.
+    unseen : float64
+        Size of δ that one rare event makes if the side that is darker here has missed it, the event being as large as
+        the largest that this side shows anywhere; 0 where it shows none.
+    seen : float64
+        How many such events this side has met here, by its standard error.
     """
 
     ours: np.ndarray
@@ -184,6 +199,8 @@ class Comparison:
     scale: np.ndarray
     dof: np.ndarray
     noiseless: np.ndarray
+    unseen: np.ndarray
+    seen: np.ndarray
 
     def interval(self, level: float) -> tuple[np.ndarray, np.ndarray]:
         """Two-sided interval of δ that misses the truth in `level` of the runs."""
@@ -200,8 +217,14 @@ class Comparison:
 
     def detectable(self, level: float, limit: float) -> np.ndarray:
         """Smallest bias that this very measurement finds outside ±limit in 80 % of the runs."""
-        quantiles = stats.t.isf(level / 2, self.dof) + stats.t.isf(1 - POWER, self.dof)
-        return limit + quantiles * self.standard_error
+        outside = limit + stats.t.isf(level / 2, self.dof) * self.standard_error
+        return (
+            np.maximum(outside, self.missing(level)) + stats.t.isf(1 - POWER, self.dof) * self.standard_error
+        )
+
+    def missing(self, level: float) -> np.ndarray:
+        """Size of δ up to which rare events that were not met explain it: the chance of so few is above `level`."""
+        return self.unseen * (special.gammainccinv(self.seen + 1, level) - self.seen)
 
 
 @attrs.frozen
@@ -509,7 +532,15 @@ def measure(
         term_mean = scale if scale is not None else float(_luminance(means[0, :count].mean(axis=0)))
         term_mean = term_mean if term_mean > 0 else 1.0
 
-    def compare(values: np.ndarray, least: float, area: np.ndarray | float) -> Comparison:
+    tile_sums = np.concatenate(tile_rows, axis=2)
+    places = np.concatenate(
+        [np.moveaxis(sums, 1, 0), np.moveaxis(tile_sums, 1, -1).reshape(everyone, -1, 3)], 1
+    )
+    rare = np.stack([_largest_event(places[:count]), _largest_event(places[count:])])
+    places = _luminance(places)[..., None]
+    rare_luminance = np.stack([_largest_event(places[:count]), _largest_event(places[count:])])
+
+    def compare(values: np.ndarray, least: float, area: np.ndarray | float, events: np.ndarray) -> Comparison:
         return welch(
             values[:count],
             values[count:],
@@ -517,10 +548,10 @@ def measure(
             term_mean=term_mean,
             areas=area,
             brightest=brightest,
+            events=events,
         )
 
     by_replicate = np.moveaxis(means, 1, 0)
-    tile_sums = np.concatenate(tile_rows, axis=2)
     tile_area = _block_sums(np.ones((1, height, width)), TILE_SIDES[0])[1]
     tiles, channel_tiles, tile_skewness = {}, {}, {}
     for side in TILE_SIDES:
@@ -528,8 +559,8 @@ def measure(
         area = _block_sums(tile_area[None], step)[0][0]
         at_side = _block_sums(tile_sums, step)[0] / area
         at_side_luminance = _luminance(np.moveaxis(at_side, 1, -1))
-        tiles[side] = compare(at_side_luminance, term_mean, area)
-        channel_tiles[side] = compare(at_side, term_mean, area)
+        tiles[side] = compare(at_side_luminance, term_mean, area, rare_luminance)
+        channel_tiles[side] = compare(at_side, term_mean, area, rare[..., None, None])
         tile_skewness[side] = max(
             _median_skewness(at_side_luminance[a:b]) for a, b in ((0, count), (count, None))
         )
@@ -559,8 +590,10 @@ def measure(
             IMAGE,
             *(str(object_names[i]) if i < len(object_names) else f"object {i}" for i in present),
         ),
-        regions=compare(by_replicate, term_mean if reference_is_zero else 0.1 * term_mean, areas[:, None]),
-        luminance=compare(_luminance(by_replicate[:, 0]), term_mean, areas[0]),
+        regions=compare(
+            by_replicate, term_mean if reference_is_zero else 0.1 * term_mean, areas[:, None], rare
+        ),
+        luminance=compare(_luminance(by_replicate[:, 0]), term_mean, areas[0], rare_luminance[:, 0]),
         tiles=tiles,
         channel_tiles=channel_tiles,
         tile_skewness=tile_skewness,
@@ -646,9 +679,14 @@ def decide(
     limit = _limit(statistics, allowance)
     printed = [*_place_errors(statistics, level), *_shape_errors(statistics, level)]
     proven = [*_invalid_values(statistics), *_mean_errors(statistics, level, limit)]
+    unproven = _mean_errors(statistics, level, limit, missing=True)
     if not kernel:
         proven, printed = proven + printed, []
-    open_questions = _open_questions(statistics, margin + allowance, outside)
+        unproven += _place_errors(statistics, level, missing=True)
+    open_questions = (
+        *_open_questions(statistics, margin + allowance, outside),
+        *(each.text for each in unproven),
+    )
     biased, equivalent = WORDS[kind]
     if not judged:
         word, reasons = None, ()
@@ -826,21 +864,38 @@ def _invalid_values(statistics: Statistics) -> list[_Finding]:
     return [_Finding(text, f"x {first.x}, y {first.y}")]
 
 
-def _outside(comparison: Comparison, level: float, limit: float) -> list[tuple[int, str]]:
-    """Flat index and interval of each place that lies wholly outside ±limit, the surest first."""
+def _outside(
+    comparison: Comparison, level: float, limit: float, missing: bool = False
+) -> list[tuple[int, str]]:
+    """Flat index and interval of each place that lies wholly outside ±limit, the surest first.
+
+    `missing` chooses those that rare events may explain, which no replicate met: no proof.
+    """
     low, high = comparison.interval(level)
     excess = (np.abs(comparison.bias) - limit) / comparison.standard_error
-    found = np.flatnonzero((low > limit) | (high < -limit))
+    explained = np.abs(comparison.bias) <= comparison.missing(level)
+    found = np.flatnonzero(((low > limit) | (high < -limit)) & (explained == missing))
+    most = np.divide(
+        np.abs(comparison.bias), comparison.unseen, out=np.zeros_like(low), where=comparison.unseen > 0
+    )
     return [
-        (int(i), f"{_percent(comparison.bias.flat[i])} [{_percent(low.flat[i])}, {_percent(high.flat[i])}]")
+        (
+            int(i),
+            f"{_percent(comparison.bias.flat[i])} [{_percent(low.flat[i])}, {_percent(high.flat[i])}]"
+            + (
+                f", no proof: {most.flat[i]:.2g} rare events, as bright as others, may be missing"
+                if missing
+                else ""
+            ),
+        )
         for i in found[np.argsort(-excess.flat[found])]
     ]
 
 
-def _mean_errors(statistics: Statistics, level: float, limit: float) -> list[_Finding]:
+def _mean_errors(statistics: Statistics, level: float, limit: float, missing: bool = False) -> list[_Finding]:
     """Rule 2a."""
     findings = []
-    for index, interval in _outside(statistics.regions, level, limit):
+    for index, interval in _outside(statistics.regions, level, limit, missing):
         region, channel = divmod(index, len(CHANNELS))
         place = f"{statistics.region_names[region]}, {CHANNELS[channel]}"
         findings.append(_Finding(f"mean of {place}: {interval}", place))
@@ -860,10 +915,11 @@ def _shape_errors(statistics: Statistics, level: float) -> list[_Finding]:
     return findings
 
 
-def _place_errors(statistics: Statistics, level: float) -> list[_Finding]:
+def _place_errors(statistics: Statistics, level: float, missing: bool = False) -> list[_Finding]:
     """Rule 2c: one finding, the surest tile and how many there are."""
     tiles = statistics.tiles[PLACE_SIDE]
-    found = _outside(tiles, level / tiles.bias.size, 0.0 if statistics.reference_is_zero else PLACE_LIMIT)
+    limit = 0.0 if statistics.reference_is_zero else PLACE_LIMIT
+    found = _outside(tiles, level / tiles.bias.size, limit, missing)
     if not found:
         return []
     index, interval = found[0]
@@ -1117,10 +1173,12 @@ def welch(
     term_mean: float,
     areas: np.ndarray | float,
     brightest: float,
+    events: np.ndarray | tuple[float, float] = (0.0, 0.0),
 ) -> Comparison:
     """Compare replicate means (K, ...) and (R, ...), relative to the reference or `least` if larger.
 
-    `areas` are the pixels of each place, `brightest` is the largest pixel of any replicate.
+    `areas` are the pixels of each place, `brightest` is the largest pixel of any replicate, `events` are the sums over
+    pixels of the largest rare event of each side (see `_largest_event`).
     """
 
     def mean_and_variance(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -1142,7 +1200,20 @@ def welch(
     floor = np.hypot(TERM_FLOOR * term_mean, ULP_FLOOR * np.spacing(other.astype(np.float32)))
     scale = np.maximum(other, least)
     error = np.hypot(np.sqrt(both), floor) / scale
-    return Comparison(mean, other, np.asarray((mean - other) / scale), error, scale, dof, noiseless)
+    bias = np.asarray((mean - other) / scale)
+    event = np.where(bias < 0, events[0] / len(ours), events[1] / len(reference)) / areas
+    own = np.where(bias < 0, variance, other_variance)
+    seen = np.divide(own, event**2, out=np.zeros_like(own), where=event > 0)
+    return Comparison(mean, other, bias, error, scale, dof, noiseless, event / scale, seen)
+
+
+def _largest_event(sums: np.ndarray) -> np.ndarray:
+    """What the largest rare event adds to one of the replicates (n, places, channels), by channel; 0 without any."""
+    if len(sums) == 1:
+        return np.zeros(sums.shape[2])
+    usual = np.sort(sums, axis=0)[: len(sums) - max(1, len(sums) // 4)]
+    excess = sums.max(axis=0) - usual.mean(axis=0)
+    return np.where(excess > RARE_EVENT * usual.std(axis=0, ddof=1), excess, 0.0).max(axis=0)
 
 
 def _borrowed(

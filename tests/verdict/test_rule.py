@@ -12,7 +12,8 @@ import pytest
 from scipy import stats
 
 import reports.verdict
-from reports.verdict import decide, judge, margin_of, measure
+from reports.verdict import LEVEL, decide, judge, margin_of, measure
+from tests.verdict import synthetic
 
 WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 
@@ -228,6 +229,48 @@ def test_an_object_with_hardly_an_event_proves_nothing(rng):
     ours = draw(1)
     ours[:, objects == 1] = 0.0
     assert decide(measure(ours, draw(64), objects=objects), tests=600).verdict == "BIASED"
+
+
+def photons(rng, per_replicate: int) -> np.ndarray:
+    """16 replicates (48 x 48): steady light 1, and 0.1 more in rare events of 4 x 4 px, Poisson in number."""
+    counts = rng.poisson(per_replicate / 144, (16, 12, 12, 1))
+    event = 0.1 * 48 * 48 / per_replicate
+    steady = synthetic.replicates(rng, np.ones((48, 48, 3)), noise=0.02)
+    return steady + counts.repeat(4, axis=1).repeat(4, axis=2) * np.full(3, event / 16)
+
+
+def test_events_that_no_replicate_met_prove_nothing(rng):
+    """One photon a replicate: an object of 1/12 of the image gets none of 16 in a quarter of the runs, unbiased."""
+    objects = np.zeros((48, 48), int)
+    objects[:, :4] = 1
+    missed = 0
+    for _ in range(100):
+        ours = photons(rng, 1)
+        statistics = measure(ours, photons(rng, 256), objects=objects)
+        verdict = decide(statistics, tests=600)
+        assert verdict.verdict == "UNDERPOWERED"
+        # Welch's test alone is sure of the lack: -9 % with intervals of a few tenths.
+        alone = statistics.regions.interval(LEVEL / 600)[1][2] < -0.05
+        assert any("no proof" in reason and "object 1" in reason for reason in verdict.reasons) == alone.any()
+        missed += alone.any()
+    assert 10 < missed < 45, "exp(-16/12) = 0.26 of the runs"
+    # That 40 events are missing, or 20 of twice the size, cannot be.
+    objects[:, :12] = 1
+    ours = photons(rng, 1)
+    ours[:, :, :12] *= 0.02
+    verdict = decide(measure(ours, photons(rng, 256), objects=objects), tests=600)
+    assert verdict.verdict == "BIASED"
+    assert verdict.place.startswith("object 1")
+
+
+def test_ordinary_noise_has_no_rare_events(rng, replicates, picture):
+    """Means over 64 pixels of gamma noise: nothing is lost of any proof."""
+    for noise in (0.05, 0.3, 1.0):
+        for _ in range(20):
+            ours, reference = (replicates(rng, picture(64, 64), noise=noise) for _ in range(2))
+            statistics = measure(ours, reference)
+            assert not statistics.regions.unseen.any()
+            assert not statistics.tiles[16].unseen.any()
 
 
 def test_a_term_that_is_lost_everywhere_is_proven(replicates, picture, rng):
