@@ -27,6 +27,8 @@ class Scratch(NamedTuple):
     column : (8,) int64, the pixel's column of each sample that waits for its occlusion ray.
     radiance, hidden : (8, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
     rays : the occlusion rays; `lane` (8,) int64 is the sample of each.
+    key, sample : (8,) uint64 and uint32, the randomness of each occlusion ray.
+    u, v : (8,) float64 each, its point of the unit square.
     """
 
     stack: np.ndarray
@@ -39,6 +41,10 @@ class Scratch(NamedTuple):
     hidden: np.ndarray
     rays: Group
     lane: np.ndarray
+    key: np.ndarray
+    sample: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
 
 
 def new_scratch() -> Scratch:
@@ -54,4 +60,8 @@ def new_scratch() -> Scratch:
         np.zeros((SIZE, 3)),
         new_group(),
         np.zeros(SIZE, np.int64),
+        np.zeros(SIZE, np.uint64),
+        np.zeros(SIZE, np.uint32),
+        np.zeros(SIZE),
+        np.zeros(SIZE),
     )

@@ -76,10 +76,9 @@ def ambient_light(scene: SceneArrays, rule: int, surface: Surface, dark: bool) -
 
 @device
 def sample_ambient(
-    scene: SceneArrays, rule: int, radiance: Vec3, normal: Vec3, sampler: Sampler
+    scene: SceneArrays, rule: int, radiance: Vec3, normal: Vec3, u: float, v: float
 ) -> tuple[Vec3, Vec3]:
-    """What one sample adds to `ambient_light`'s radiance if nothing hides it, and its direction."""
-    u, v = sample_2d(sampler, OCCLUSION)
+    """What one sample adds of `ambient_light`'s radiance if nothing hides it, and its direction."""
     local, weight = sample_hemisphere(rule, scene.rings, u, v)
     if ambient_reach(scene, rule) == 0.0:
         weight = 1.0
@@ -94,10 +93,34 @@ def ambient_radiance(
     radiance, asks = ambient_light(scene, rule, surface, dark)
     if not asks:
         return radiance
-    radiance, direction = sample_ambient(scene, rule, radiance, surface.normal, sampler)
+    u, v = sample_2d(sampler, OCCLUSION)
+    radiance, direction = sample_ambient(scene, rule, radiance, surface.normal, u, v)
     if occluded(scene, surface, direction, ambient_reach(scene, rule), -1, scratch):
         return Vec3(0.0, 0.0, 0.0)
     return radiance
+
+
+@device
+def _aim(scene: SceneArrays, rule: int, asking: int, scratch: Scratch) -> None:
+    """Draw the directions of the first `asking` occlusion rays, which are their normals before.
+
+    In loops of their own: what hashes and maps eight points is vectorised.
+    """
+    for k in range(asking):
+        sampler = Sampler(scratch.key[k], scratch.sample[k])
+        scratch.u[k], scratch.v[k] = sample_2d(sampler, OCCLUSION)
+    for k in range(asking):
+        lane = scratch.lane[k]
+        radiance, direction = sample_ambient(
+            scene,
+            rule,
+            vec3(scratch.radiance, lane),
+            vec3(scratch.rays.directions, k),
+            scratch.u[k],
+            scratch.v[k],
+        )
+        put(scratch.radiance, lane, radiance)
+        put(scratch.rays.directions, k, direction)
 
 
 @kernel
@@ -127,19 +150,18 @@ def _occlusion(
                         begin, end = samples_of(scratch.index[i], split, first, last)
                         for sample in range(begin, end):
                             scratch.column[waiting] = scratch.x[i]
-                            added = radiance
                             if asks:
-                                sampler = Sampler(pixel, np.uint32(sample))
-                                added, direction = sample_ambient(
-                                    scene, rule, radiance, surface.normal, sampler
-                                )
-                                put_occlusion_ray(scene, scratch.rays, asking, surface, direction, -1)
+                                # Its direction is the normal until `_aim` has drawn one.
+                                put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
                                 scratch.lane[asking] = waiting
+                                scratch.key[asking] = pixel
+                                scratch.sample[asking] = sample
                                 asking += 1
-                            put(scratch.radiance, waiting, added)
+                            put(scratch.radiance, waiting, radiance)
                             put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
                             waiting += 1
                     if waiting + most_of(last, split) > SIZE or start + i + 1 == sights:
+                        _aim(scene, rule, asking, scratch)
                         settle(scene, waiting, asking, ambient_reach(scene, rule), False, y, out, scratch)
                         waiting = 0
                         asking = 0
