@@ -95,7 +95,8 @@ def _sampler(rule: Scattering, key: np.uint64, index: int) -> Sampler:
 def _emit(scene: SceneArrays, aimed: bool, sampler: Sampler) -> tuple[Vec3, Vec3, Vec3, int]:
     """Origin, direction, power and face (-1: a point light) of a photon, one of one."""
     emitters = scene.emitters
-    index, probability = pick(emitters.aimed if aimed else emitters.cdf, sample_1d(sampler, 0))
+    u, v = sample_2d(sampler, 1)
+    index, probability, u = pick(emitters.aimed if aimed else emitters.cdf, u)
     points = len(emitters.point)
     if index < points:
         u, v = sample_2d(sampler, 2)
@@ -107,7 +108,6 @@ def _emit(scene: SceneArrays, aimed: bool, sampler: Sampler) -> tuple[Vec3, Vec3
         power = scale(vec3(emitters.intensity, index), 4.0 * math.pi / probability)
         return vec3(emitters.point, index), square_to_uniform_sphere(u, v), power, -1
     face = entry(emitters.face, index - points)
-    u, v = sample_2d(sampler, 1)
     b1, b2 = square_to_triangle(u, v)
     origin = point_on_face(scene.geometry, face, b1, b2)
     u, v = sample_2d(sampler, 2)

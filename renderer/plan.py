@@ -13,7 +13,7 @@ from typing import Literal
 import attrs
 import numpy as np
 
-from renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of
+from renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of, light_samples
 from renderer.film import ALONE, sights_of
 from renderer.openness import open_sides
 from renderer.photon_map import KEPT_BYTES
@@ -326,8 +326,12 @@ def _lights(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 
 def _splitting(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    split = variant.split(scene)
-    return f"after {ALONE} samples, {split} leave what one of them sees" if split > 1 else None
+    split, lights = variant.split(scene), light_samples(scene)
+    if split > 1:
+        return f"after {ALONE} samples, {split} leave what one of them sees"
+    if lights > 1 and variant.name == "next-event" and skipped(scene, "direct") is None:
+        return f"{lights} light samples stand beside one estimate by photons"
+    return None
 
 
 ECONOMIES: dict[str, Economy] = {
@@ -419,11 +423,15 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
         counts = {counter.replace("_", " "): count for counter, count in saved.items()}
         steps.append(Step(term, work, "skip", applied[name], counts, at_most))
 
-    spared = (samples - sights) * pixels
-    if spared and (reason := ECONOMIES["splitting"].reason(scene, variant, chain)):
-        steps.append(
-            Step(term, ECONOMIES["splitting"].work, "economy", reason, {"rays": spared}, at_most=True)
-        )
+    if "splitting" not in without and (reason := ECONOMIES["splitting"].reason(scene, variant, chain)):
+        spared = (samples - sights) * pixels
+        if spared:
+            work = ECONOMIES["splitting"].work
+            steps.append(Step(term, work, "economy", reason, {"rays": spared}, at_most=True))
+        elif split == 1:
+            spared = (light_samples(scene) - 1) * samples * pixels
+            counts = {"rays": spared, "density estimates": spared}
+            steps.append(Step(term, "estimates by photons", "economy", reason, counts, at_most=True))
     if "window" in applied:
         skip("window", "pixels without objects", rays=outside)
     if "pixel" in applied:

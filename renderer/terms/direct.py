@@ -9,10 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from renderer.arrays import SceneArrays
+from renderer.arrays import FAINT, SceneArrays
 from renderer.film import (
     accumulate,
     item_of,
+    pixel_key,
     sampler_of,
     see,
     settle,
@@ -36,7 +37,7 @@ from scenes import limits
 from scenes.limits import Kernel, Limit
 from scenes.model import Scene
 
-LIGHT = 2  # the pairs 2 and 3 place a sample on a light
+LIGHT = 2  # the pair that places a sample on a light
 BOUNCE = 4  # the direction of the next vertex of a path
 ROULETTE = 5
 _PATH = 64  # keys of a path's vertices: beyond the pairs above
@@ -68,26 +69,29 @@ def _reflected(scene: SceneArrays, surface: Surface, straight: Vec3, scattered: 
 def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch: Scratch) -> Vec3:
     """E_all by a diffusely scattered path with light sampling at every vertex. Unbiased at any N.
 
-    Roulette survives with the largest channel of the albedo and divides by it.
+    A path of throughput t goes on with probability t / FAINT, at most MAX_SURVIVAL, and is divided by it.
     """
-    throughput = scale(vec3(scene.materials.diffuse, surface.object), scene.irradiance_factor)
+    weight = vec3(scene.materials.diffuse, surface.object)
+    if scene.skips.diffuse and is_black(weight):
+        return weight
+    throughput = Vec3(1.0, 1.0, 1.0)
     radiance = Vec3(0.0, 0.0, 0.0)
     vertex = 0
-    while not is_black(throughput) or (vertex == 0 and not scene.skips.diffuse):
+    while True:
         radiance = add(radiance, mul(throughput, light_irradiance(scene, surface, sampler, LIGHT, scratch)))
         u, v = sample_2d(sampler, BOUNCE)
         direction = to_world(frame(surface.normal), square_to_cosine_hemisphere(u, v))
         surface = trace(scene, make_ray(surface.point, direction), surface.face, scratch)
         if surface.face < 0:
             break
-        albedo = vec3(scene.materials.diffuse, surface.object)
-        survival = min(MAX_SURVIVAL, max_component(albedo))
+        throughput = mul(throughput, vec3(scene.materials.diffuse, surface.object))
+        survival = min(MAX_SURVIVAL, max_component(throughput) / FAINT)
         if sample_1d(sampler, ROULETTE) >= survival:
             break
-        throughput = scale(mul(throughput, albedo), 1.0 / survival)
+        throughput = scale(throughput, 1.0 / survival)
         vertex += 1
         sampler = Sampler(fold(sampler.key, _PATH + vertex), sampler.index)
-    return radiance
+    return scale(mul(weight, radiance), scene.irradiance_factor)
 
 
 @device
@@ -118,6 +122,7 @@ def _next_event(
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
+    share = 1.0 / scene.light_samples
     for item in range(len(work)):
         tile, first, last, _ = item_of(work, item)
         for y in range(tile.y0, tile.y1):
@@ -128,23 +133,32 @@ def _next_event(
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
                     if (
-                        surface.face < 0
-                        or (scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object)))
-                        or shadowed(scene, surface, scratch)
+                        surface.face >= 0
+                        and not (
+                            scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object))
+                        )
+                        and not shadowed(scene, surface, scratch)
                     ):
-                        continue
-                    scattered = estimate_irradiance(scene, photons, surface, scratch)
-                    sampler = sampler_of(scene, key, y, i, scratch)
-                    straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
-                    scratch.column[waiting] = scratch.x[i]
-                    put(scratch.radiance, waiting, _reflected(scene, surface, straight, scattered))
-                    put(scratch.hidden, waiting, _reflected(scene, surface, Vec3(0.0, 0.0, 0.0), scattered))
-                    if not (scene.skips.horizon and is_black(straight)):
-                        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
-                        scratch.lane[asking] = waiting
-                        asking += 1
-                    waiting += 1
-                settle(scene, waiting, asking, 1.0, True, y, out, scratch)
+                        scattered = estimate_irradiance(scene, photons, surface, scratch)
+                        hidden = scale(_reflected(scene, surface, Vec3(0.0, 0.0, 0.0), scattered), share)
+                        pixel = pixel_key(scene, key, y, scratch.x[i])
+                        begin = scene.light_samples * scratch.index[i]
+                        for sample in range(begin, begin + scene.light_samples):
+                            sampler = Sampler(pixel, np.uint32(sample))
+                            straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
+                            radiance = scale(_reflected(scene, surface, straight, scattered), share)
+                            scratch.column[waiting] = scratch.x[i]
+                            put(scratch.radiance, waiting, radiance)
+                            put(scratch.hidden, waiting, hidden)
+                            if not (scene.skips.horizon and is_black(straight)):
+                                put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
+                                scratch.lane[asking] = waiting
+                                asking += 1
+                            waiting += 1
+                    if waiting + scene.light_samples > SIZE or i + 1 == count:
+                        settle(scene, waiting, asking, 1.0, True, y, out, scratch)
+                        waiting = 0
+                        asking = 0
 
 
 @kernel

@@ -13,7 +13,7 @@ import trimesh
 
 from renderer import Engine, find
 from renderer.arrays import MANY_EMITTERS, from_scene
-from renderer.lights import _bound, _pick_by_light
+from renderer.lights import _bound, _pick_by_light, pick
 from renderer.plan import ECONOMIES
 from renderer.surface import Surface
 from renderer.vector import Vec3
@@ -122,12 +122,45 @@ def test_probabilities_are_those_of_the_choice(compiled):
     surface = surface_at(0.3, -0.2)
     count = 20_000 if compiled else 500
     picks = [_pick_by_light(arrays, surface, (i + 0.5) / count) for i in range(count)]
-    found = np.bincount([index for index, _ in picks], minlength=9) / count
+    found = np.bincount([index for index, _, _ in picks], minlength=9) / count
     bounds = np.array([_bound(arrays, surface, index) for index in range(9)])
     np.testing.assert_allclose(found, bounds / bounds.sum(), atol=2 / count)
-    for index, probability in picks[:: count // 50]:
+    for index, probability, _ in picks[:: count // 50]:
         assert probability == pytest.approx(bounds[index] / bounds.sum(), rel=1e-12)
     assert (bounds == 0.0).any()
+
+
+@pytest.mark.parametrize("by_light", [True, False])
+def test_what_the_pick_leaves_is_spread_evenly(by_light, compiled):
+    """Of each emitter's share of [0, 1), in order, it is [0, 1) again."""
+    arrays = from_scene(scene_of(points(9)))
+    count = 20_000 if compiled else 2000
+    us = [(i + 0.5) / count for i in range(count)]
+    picks = [
+        _pick_by_light(arrays, surface_at(0.3, -0.2), u) if by_light else pick(arrays.emitters.cdf, u)
+        for u in us
+    ]
+    for index in {index for index, _, _ in picks}:
+        rest = np.array([left for chosen, _, left in picks if chosen == index])
+        np.testing.assert_allclose(rest, (np.arange(len(rest)) + 0.5) / len(rest), atol=1.5 / len(rest))
+        assert rest.max() < 1.0
+    assert pick(arrays.emitters.cdf, math.nextafter(1.0, 0.0))[2] < 1.0
+
+
+def test_a_lamp_of_two_triangles_is_one_rectangle(compiled):
+    """Samples on it converge as a smooth integrand's, far faster than 1/N, which a pick apart would leave them."""
+    if not compiled:
+        pytest.skip("thousands of samples take minutes as plain Python")
+    corners = [[-0.5, -0.5, 1.0], [-0.5, 0.5, 1.0], [0.5, 0.5, 1.0], [0.5, -0.5, 1.0]]
+    square = Object(
+        "lamp",
+        Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3]]),
+        Material(),
+        emission=(1.0, 1.0, 1.0),
+    )
+    few, many = (replicates(scene_of((), square), (), 200, samples) for samples in (1, 64))
+    assert few.mean() > 0.0
+    assert many.var(axis=0, ddof=1).sum() < 0.1 * few.var(axis=0, ddof=1).sum() / 64
 
 
 def test_a_point_that_nothing_lights(compiled):
