@@ -1,9 +1,10 @@
-"""Splitting: samples that share a camera ray, how many rays that leaves, and the mean that is not moved."""
+"""Splitting: samples that share a camera ray, or an estimate by photons; what that leaves, and the mean, not moved."""
 
 import attrs
 import pytest
 
 from renderer import Engine, find
+from renderer.arrays import LIGHT_SAMPLES, light_samples
 from renderer.film import ALONE, most_of, samples_of, sights_of
 from renderer.plan import camera_rays
 from renderer.terms.ambient import SPLIT
@@ -12,6 +13,10 @@ from scenes.model import Scene
 from tests.unit.test_adaptive import assert_same_mean, tile_means
 
 BOX = attrs.evolve(load("cornell_box"), resolution=(8, 6))
+_UNSHADOWED = load("cornell_box_unshadowed")
+PHOTONS = attrs.evolve(
+    _UNSHADOWED, resolution=(8, 6), photons=attrs.evolve(_UNSHADOWED.photons, count=500)
+)
 
 
 @pytest.mark.parametrize("split", [1, 3, 4, 8])
@@ -49,12 +54,36 @@ def test_a_run_in_parts_has_the_bits_of_the_whole():
     assert whole.tobytes() == parts.tobytes()
 
 
-@pytest.mark.parametrize("scene", [BOX, load("two_cubes")])
-def test_the_mean_is_not_moved(scene: Scene, compiled):
-    """Over 64 replicates of 24 samples, by Welch's test of each 8 x 8 tile and channel."""
+def test_light_samples_stand_beside_one_estimate_by_photons():
+    """As many estimates as without splitting, and four times the shadow rays, but for those below a horizon."""
+    counts = {}
+    for without in ((), ("splitting",)):
+        with Engine(PHOTONS, threads=1, without=without) as engine:
+            list(engine.prefixes(find("direct"), samples=2, seed=1, replicate=0))
+        counts[without] = engine.counts
+    ours, alone = counts[()], counts[("splitting",)]
+    assert ours["rays"] == alone["rays"]
+    assert ours["density estimates"] == alone["density estimates"] > 0
+    assert 3.5 < ours["occlusion rays"] / alone["occlusion rays"] < 4.5
+
+
+def test_where_light_samples_are_alike_one_is_enough():
+    """One point light; lights without photons, whose samples have camera rays."""
+    assert light_samples(PHOTONS) == LIGHT_SAMPLES
+    assert light_samples(PHOTONS, without=("splitting",)) == 1
+    assert light_samples(BOX) == 1
+    assert light_samples(load("monkey")) == 1
+
+
+@pytest.mark.parametrize(
+    ("scene", "term", "samples"),
+    [(BOX, "ambient", 24), (load("two_cubes"), "ambient", 24), (PHOTONS, "direct", 4)],
+)
+def test_the_mean_is_not_moved(scene: Scene, term, samples, compiled):
+    """Over 64 replicates, by Welch's test of each 8 x 8 tile and channel."""
     if not compiled:
         pytest.skip("128 images take minutes as plain Python")
     assert_same_mean(
-        tile_means(scene, "ambient", samples=24, seed=3),
-        tile_means(scene, "ambient", samples=24, seed=4, without=("splitting",)),
+        tile_means(scene, term, samples=samples, seed=3),
+        tile_means(scene, term, samples=samples, seed=4, without=("splitting",)),
     )
