@@ -14,9 +14,7 @@ from tests.unit.test_adaptive import assert_same_mean, tile_means
 
 BOX = attrs.evolve(load("cornell_box"), resolution=(8, 6))
 _UNSHADOWED = load("cornell_box_unshadowed")
-PHOTONS = attrs.evolve(
-    _UNSHADOWED, resolution=(8, 6), photons=attrs.evolve(_UNSHADOWED.photons, count=500)
-)
+PHOTONS = attrs.evolve(_UNSHADOWED, resolution=(8, 6), photons=attrs.evolve(_UNSHADOWED.photons, count=500))
 
 
 @pytest.mark.parametrize("split", [1, 3, 4, 8])
