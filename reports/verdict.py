@@ -1206,7 +1206,8 @@ def welch(
     bias = np.asarray((mean - other) / scale)
     event = np.where(bias < 0, events[0] / len(ours), events[1] / len(reference)) / areas
     own = np.where(bias < 0, variance, other_variance)
-    seen = np.divide(own, event**2, out=np.zeros_like(own), where=event > 0)
+    # What is below 1e-15 of the noise is rounding, no event.
+    seen = np.divide(own, event**2, out=np.zeros_like(own), where=event**2 > 1e-30 * own)
     return Comparison(mean, other, bias, error, scale, dof, noiseless, event / scale, seen)
 
 

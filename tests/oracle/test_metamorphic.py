@@ -300,7 +300,8 @@ def test_turned_in_the_mean(term: Term, variant: str, turn: str):
 def test_a_point_light_split_in_two(term: Term, variant: str):
     """Two lights of half the intensity at one point: each is picked with probability 1/2, which is exact.
 
-    So is every sample, whichever is picked: to the bit, photons as well.
+    So is every sample, whichever is picked: to the bit, photons as well, but where two lights get four samples beside
+    an estimate by photons and one light gets one, whose sum rounds otherwise.
     """
     scene = scenes()["monkey"]
     halves = tuple(
@@ -310,7 +311,11 @@ def test_a_point_light_split_in_two(term: Term, variant: str):
     )
     image = rendered(scene, term, variant)
     assert image.any()
-    np.testing.assert_array_equal(rendered(attrs.evolve(scene, lights=halves), term, variant), image)
+    found = rendered(attrs.evolve(scene, lights=halves), term, variant)
+    if (term, variant) == ("direct", "next-event"):
+        np.testing.assert_allclose(found, image, rtol=1e-14)
+    else:
+        np.testing.assert_array_equal(found, image)
 
 
 def split_lamp(scene: Scene, *, across: bool) -> Scene:
