@@ -82,7 +82,7 @@ def render_terms(
     Parameters
     ----------
     variants : the estimator of each term to render; None: the term's default.
-    report : called with (term, samples done, samples of all terms and replicates), first before a term compiles.
+    report : called with (what runs, samples done, samples of all terms and replicates), first before a term compiles.
     """
     if replicates < 1:
         raise ValueError(f"replicates = {replicates}: allowed is at least 1")
@@ -94,7 +94,7 @@ def render_terms(
     with Engine(scene, threads=threads, adaptive=adaptive, map_bytes=kept) as engine:
         for replicate in range(replicates):
             for term, estimator in estimators.items():
-                report(term, before, total)
+                report(f"{term}, compiling", before, total)
                 *_, (_, image, spent) = engine.prefixes(
                     estimator,
                     samples=samples,

@@ -19,7 +19,7 @@ A sparse estimator may miss its brightest samples in all replicates, agree with 
 place lacks D (radiance summed over its pixels, mean of K replicates), one replicate elsewhere holds an event of E, and
 the place's own standard error is that of `m = (K SE / E)²` of them, then `λ = K D / E` are missing. By Poisson's law so
 few are met with probability `Q(m + 1, m + λ)`, `e^-λ` for m = 0: a mean is proven off only if that, too, is below the
-level of its test.
+level of its test. Shape needs no such rule: where events are met, its jackknife has them.
 
 There are two phases because the level of each test is 5 % over the number of tests of the whole run
 (Bonferroni): `measure` every row, add up their `tests`, then `decide` each.
@@ -687,8 +687,8 @@ def decide(
         proven, printed = proven + printed, []
         unproven += _place_errors(statistics, level, missing=True)
     open_questions = (
-        *_open_questions(statistics, margin + allowance, outside),
         *(each.text for each in unproven),
+        *_open_questions(statistics, margin + allowance, outside),
     )
     biased, equivalent = WORDS[kind]
     if not judged:
@@ -1016,7 +1016,7 @@ def _confidence(outside: float) -> str:
 
 
 def _percent(value: np.ndarray | float) -> str:
-    return f"{value:+.2%}" if abs(value) < 10 else f"{value:+.2e}"
+    return f"{value:+.2%}" if abs(value) < 10 else f"{100 * value:+.2e}%"
 
 
 def _sentence(verdict: Verdict, statistics: Statistics, kernel: bool) -> str:

@@ -12,11 +12,21 @@ import cyclopts
 
 from reports.cli import judging, measuring, places, rendering, runs, terminal
 
+
+def _line(error: cyclopts.CycloptsError) -> str:
+    """What is wrong with the command line, in a line."""
+    text = " ".join(str(error).split())
+    if isinstance(error, cyclopts.MissingArgumentError) and error.argument and error.tokens_so_far:
+        wanted, _ = error.argument.token_count()
+        text = f"{error.argument.name} = {' '.join(error.tokens_so_far)}: allowed are {wanted} values"
+    return f"termwise: {text}"
+
+
 app = cyclopts.App(
     name="termwise",
     help="The rendering equation term by term: is an estimator biased, by how much, where, and how sure are you?",
     error_console=terminal.messages,
-    error_formatter=lambda error: f"termwise: {' '.join(str(error).split())}",
+    error_formatter=_line,
     version=lambda: importlib.metadata.version("termwise"),
     print_error=True,
     exit_on_error=False,

@@ -75,7 +75,7 @@ def render(
             seed=seed,
             threads=threads,
             adaptive=adaptive,
-            report=stage("Samples"),
+            report=stage("Samples of all terms"),
         )
     settings = {
         "samples": samples,

@@ -95,7 +95,7 @@ SMALL = "--samples", 1, "--resolution", 4, 4
         (["render", "scene.toml", "--seed", -1], ["seed = -1", "[0, "]),
         (["render", "scene.toml", "--seed", 2**64], [f"seed = {2**64}", "[0, "]),
         (["render", "scene.toml", "--resolution", 0, 4], ["resolution = (0, 4)", "[1, 65536]"]),
-        (["render", "scene.toml", "--resolution", 4], ["--resolution", "2"]),
+        (["render", "scene.toml", "--resolution", 4], ["--resolution = 4", "allowed are 2 values"]),
         (["render", "scene.toml", "--term", "glow"], ["term = 'glow'", "ambient", "specular"]),
         (["render", "scene.toml", "--variant", "paper"], ["variant = 'paper'", "--term"]),
         (
