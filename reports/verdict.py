@@ -539,9 +539,10 @@ def measure(
     places = np.concatenate(
         [np.moveaxis(sums, 1, 0), np.moveaxis(tile_sums, 1, -1).reshape(everyone, -1, 3)], 1
     )
-    rare = np.stack([_largest_event(places[:count]), _largest_event(places[count:])])
-    places = _luminance(places)[..., None]
-    rare_luminance = np.stack([_largest_event(places[:count]), _largest_event(places[count:])])
+    rare, rare_luminance = (
+        np.stack([_largest_event(values[:count]), _largest_event(values[count:])])
+        for values in (places, _luminance(places)[..., None])
+    )
 
     def compare(values: np.ndarray, least: float, area: np.ndarray | float, events: np.ndarray) -> Comparison:
         return welch(
@@ -878,21 +879,16 @@ def _outside(
     excess = (np.abs(comparison.bias) - limit) / comparison.standard_error
     explained = np.abs(comparison.bias) <= comparison.missing(level)
     found = np.flatnonzero(((low > limit) | (high < -limit)) & (explained == missing))
-    most = np.divide(
-        np.abs(comparison.bias), comparison.unseen, out=np.zeros_like(low), where=comparison.unseen > 0
-    )
-    return [
-        (
-            int(i),
-            f"{_percent(comparison.bias.flat[i])} [{_percent(low.flat[i])}, {_percent(high.flat[i])}]"
-            + (
-                f", no proof: {most.flat[i]:.2g} rare events, as bright as others, may be missing"
-                if missing
-                else ""
-            ),
-        )
-        for i in found[np.argsort(-excess.flat[found])]
-    ]
+
+    def text(i: int) -> str:
+        bias = comparison.bias.flat[i]
+        interval = f"{_percent(bias)} [{_percent(low.flat[i])}, {_percent(high.flat[i])}]"
+        if not missing:
+            return interval
+        events = abs(bias) / comparison.unseen.flat[i]
+        return f"{interval}, no proof: {events:.2g} rare events, as bright as others, may be missing"
+
+    return [(int(i), text(i)) for i in found[np.argsort(-excess.flat[found])]]
 
 
 def _mean_errors(statistics: Statistics, level: float, limit: float, missing: bool = False) -> list[_Finding]:
