@@ -97,26 +97,42 @@ def see(
     split: int,
     scratch: Scratch,
 ) -> int:
-    """Trace `scratch.sights`, the next 8 of a row's sights from `start` on, pixel by pixel; returns how many.
+    """Fill `scratch.sights`, the next 8 of a row's sights from `start` on, pixel by pixel; returns how many.
 
     A sight is what one camera ray sees, for `split` samples. Those of one pixel, or of a few beside each other, go the
     same way: they make a packet (20 ns a ray in place of 87 singly, in the Cornell box). Rays through one point of
-    their pixel are one ray, traced for its first sight alone.
+    their pixel are one ray, traced for its first sight alone. What another term has traced is taken from
+    `scratch.seen`.
     """
-    sights = scratch.sights
-    free = scene.camera.rule == JITTER or not scene.skips.pixel
     begin, end = sights_of(first, last, split)
     count = min(SIZE, sights_of_row(tile, first, last, split) - start)
     x = tile.x0 + start // (end - begin)
     index = begin + start % (end - begin)
+    known = scratch.seen.face.shape[1] > 0
     for i in range(count):
         if index == end:
             x += 1
             index = begin
         scratch.x[i] = x
         scratch.index[i] = index
-        if free or index == begin:
-            ray = camera_ray(scene.camera, x, y, sampler_of(scene, key, y, i, scratch))
+        known = known and index < scratch.seen.known[y, x]
+        index += 1
+    if known:
+        for i in range(count):
+            _recall(scene, y, i, scratch)
+    else:
+        _look(scene, key, y, begin, count, scratch)
+    return count
+
+
+@device
+def _look(scene: SceneArrays, key: np.uint64, y: int, begin: int, count: int, scratch: Scratch) -> None:
+    """Trace the first `count` sights of row y, `begin` being the first of a pixel, and keep those there is room for."""
+    sights = scratch.sights
+    free = scene.camera.rule == JITTER or not scene.skips.pixel
+    for i in range(count):
+        if free or scratch.index[i] == begin:
+            ray = camera_ray(scene.camera, scratch.x[i], y, sampler_of(scene, key, y, i, scratch))
             put_ray(sights, i, ray.origin, ray.direction)
             if not free:
                 put_hit(sights, i, closest(scene, ray, math.inf, -1, scratch))
@@ -125,10 +141,31 @@ def see(
             before = (i - 1) % SIZE
             put_ray(sights, i, vec3(sights.origins, before), vec3(sights.directions, before))
             put_hit(sights, i, hit_of(sights, before))
-        index += 1
     if free:
         trace_group(scene, sights, count, scratch)
-    return count
+    seen = scratch.seen
+    for i in range(count):
+        x, index = scratch.x[i], scratch.index[i]
+        if index < seen.face.shape[1] and index == seen.known[y, x]:
+            seen.known[y, x] += 1
+            seen.face[y, index, x] = sights.face[i]
+            seen.ray[y, index, x, 0] = sights.b1[i]
+            seen.ray[y, index, x, 1] = sights.b2[i]
+            for axis in range(3):
+                seen.ray[y, index, x, 2 + axis] = sights.directions[i, axis]
+
+
+@device
+def _recall(scene: SceneArrays, y: int, i: int, scratch: Scratch) -> None:
+    """Take sight i of row y from those that are kept."""
+    sights, seen = scratch.sights, scratch.seen
+    x, index = scratch.x[i], scratch.index[i]
+    ray = seen.ray[y, index]
+    put_ray(sights, i, scene.camera.position, Vec3(ray[x, 2], ray[x, 3], ray[x, 4]))
+    # Nothing asks for the distance of a sight.
+    sights.face[i] = seen.face[y, index, x]
+    sights.b1[i] = ray[x, 0]
+    sights.b2[i] = ray[x, 1]
 
 
 @device

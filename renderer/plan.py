@@ -5,6 +5,7 @@ it. Each is a row of SKIPS and can be switched off (`Engine(scene, without=...)`
 **economy** takes fewer samples for the same expectation. A **reuse** takes a result that exists.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Collection
@@ -17,8 +18,9 @@ from renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of, lig
 from renderer.film import ALONE, sights_of
 from renderer.openness import open_sides
 from renderer.photon_map import KEPT_BYTES
+from renderer.scratch import SEEN_BYTES
 from renderer.terms.variant import Chain, Stored, Variant
-from scenes.model import Scene
+from scenes.model import Material, Scene
 from scenes.terms import TERMS, Term
 
 Kind = Literal["runs", "skip", "economy", "reuse"]
@@ -141,14 +143,36 @@ def needs_photons(
     return variant.photons(scene, chain) if needed else None
 
 
-def may_see(scene: Scene) -> np.ndarray:
-    """Pixels whose rays may meet an object, (H, W) bool; the others see the sky, for certain.
+def may_see(scene: Scene, term: Term = "background") -> np.ndarray:
+    """Pixels whose rays may meet an object that has the term, (H, W) bool; the others see none, for certain.
 
-    Those in the box around the projection of an object, clipped to what lies before the camera.
+    Those in the box around the projection of an object, clipped to what lies before the camera. The background has all
+    objects, for they hide the sky.
     """
     width, height = scene.resolution
     # The paper's intersection has absolute tolerances: it may find what is not there.
     seen = np.full((height, width), scene.intersection != "watertight")
+    for thing, (rows, columns) in zip(scene.objects, _windows(scene), strict=True):
+        if _has(scene, thing.surface, term):
+            seen[rows, columns] = True
+    return seen
+
+
+def _has(scene: Scene, surface: Material, term: Term) -> bool:
+    """Whether a surface may be other than black in a term."""
+    if term == "background":
+        return True
+    if term == "specular":
+        return scene.specular_weight(surface) > 0.0
+    # In the paper's shadow ambient light is of the whole colour.
+    whole = term == "ambient" and scene.shadows == "paper"
+    return any(surface.color if whole else scene.diffuse_weight(surface))
+
+
+@functools.lru_cache(maxsize=4)
+def _windows(scene: Scene) -> list[tuple[slice, slice]]:
+    """Rows and columns of each object's box; kept, because each term asks and a box looks at all vertices."""
+    width, height = scene.resolution
     right, up, forward = scene.camera.frame()
     pixels = width / (2.0 * math.tan(math.radians(scene.camera.fov) / 2.0))
     slack = 1e-3  # of a pixel
@@ -157,6 +181,7 @@ def may_see(scene: Scene) -> np.ndarray:
         low, high = np.clip((values.min() - slack, values.max() + slack), -1.0, size + 1.0)
         return slice(max(0, math.floor(low)), max(0, math.floor(high) + 1))
 
+    found = []
     for thing in scene.objects:
         x, y, depth = (np.stack([right, -up, forward]) @ (thing.mesh.vertices - scene.camera.position).T)[
             :, thing.mesh.faces.T
@@ -175,8 +200,10 @@ def may_see(scene: Scene) -> np.ndarray:
         if len(depths):
             across = 0.5 * width + pixels * points[0] / depths
             down = 0.5 * height + pixels * points[1] / depths
-            seen[span(down, height), span(across, width)] = True
-    return seen
+            found.append((span(down, height), span(across, width)))
+        else:
+            found.append((slice(0), slice(0)))
+    return found
 
 
 def needs_every_pixel(scene: Scene, term: Term) -> bool:
@@ -203,10 +230,10 @@ def _open(scene: Scene) -> list[str]:
 
 
 def _window(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    count = np.count_nonzero(~may_see(scene))
+    count = np.count_nonzero(~may_see(scene, variant.term))
     if not count or needs_every_pixel(scene, variant.term):
         return None
-    seen = "the constant sky" if variant.term == "background" else "no object"
+    seen = "the constant sky" if variant.term == "background" else "nothing that has the term"
     return f"{count} of {scene.resolution[0] * scene.resolution[1]} pixels see {seen} for certain"
 
 
@@ -282,7 +309,10 @@ SKIPS: dict[str, Skip] = {
             "photons", "photon maps", "no photon, or none that a surface would scatter to the camera", _maps
         ),
         Skip(
-            "window", "pixels without an object", "no ray through them meets the box of the vertices", _window
+            "window",
+            "pixels without an object that has the term",
+            "no ray through them meets the box of its vertices",
+            _window,
         ),
         Skip("pixel", "a pixel's camera rays but the first", "they are one ray", _pixel),
         Skip("texture", "lookups of the sky's texture", "all texels are the constant", _texture),
@@ -363,7 +393,8 @@ def plan(
 ) -> tuple[Step, ...]:
     """The steps of rendering `scene` with the given variants, `samples` a pixel, for one replicate.
 
-    `together`: the terms are rendered by one engine that keeps photon maps (`renderer.render_terms`).
+    `together`: the terms are rendered by one engine that keeps photon maps and what camera rays meet
+    (`renderer.render_terms`).
     """
     counts = samples if isinstance(samples, dict) else dict.fromkeys(TERMS, samples)
     steps = [
@@ -371,8 +402,10 @@ def plan(
         for term in TERMS
         for step in _steps(scene, variants[term], chain, counts[term], frozenset(without))
     ]
+    if not together:
+        return tuple(steps)
     traced = [step.term for step in steps if step.work == "photon maps" and step.runs]
-    if together and traced == ["direct", "specular"] and _same_maps(scene, variants, chain):
+    if traced == ["direct", "specular"] and _same_maps(scene, variants, chain):
         passes = min(counts["direct"], counts["specular"])
         emitted = passes * photons_of_a_pass(scene, variants["specular"], chain, without)
         saved = f"those of direct, as far as {KEPT_BYTES >> 20} MB hold them"
@@ -382,7 +415,34 @@ def plan(
             else step
             for step in steps
         ]
-    return tuple(steps)
+    return tuple(_with_shared_rays(scene, variants, counts, steps, frozenset(without)))
+
+
+def _with_shared_rays(
+    scene: Scene,
+    variants: dict[Term, Variant],
+    counts: dict[Term, int],
+    steps: list[Step],
+    without: frozenset[str],
+) -> list[Step]:
+    """The steps, those of camera rays that an earlier term has traced behind their kernels."""
+    found: list[Step] = []
+    before: list[str] = []
+    kept = 0  # sights of a pixel
+    room = KEPT_BYTES // (scene.resolution[0] * scene.resolution[1] * SEEN_BYTES)
+    for step in steps:
+        found.append(step)
+        if not (step.work.startswith("kernel") and step.runs):
+            continue
+        split = 1 if "splitting" in without else variants[step.term].split(scene)
+        sights = sights_of(0, counts[step.term], split)[1]
+        if saved := min(kept, sights):
+            reason = f"those of {_names(before)}, as far as {KEPT_BYTES >> 20} MB hold them"
+            rays = {"rays": saved * int(np.count_nonzero(may_see(scene, step.term)))}
+            found.append(Step(step.term, "camera rays", "reuse", reason, rays, at_most=True))
+        before.append(step.term)
+        kept = max(kept, min(sights, room))
+    return found
 
 
 def _same_maps(scene: Scene, variants: dict[Term, Variant], chain: Chain) -> bool:
@@ -417,7 +477,7 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
     if "term" in applied:
         return [Step(term, kernel, "skip", applied["term"], {"rays": sights * pixels}, at_most=False)]
     steps = [Step(term, kernel, "runs", "the scene has this term")]
-    outside = sights * int(np.count_nonzero(~may_see(scene)))
+    outside = sights * int(np.count_nonzero(~may_see(scene, term)))
 
     def skip(name: str, work: str, *, at_most: bool = False, **saved: int) -> None:
         counts = {counter.replace("_", " "): count for counter, count in saved.items()}
@@ -433,7 +493,7 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
             counts = {"rays": spared, "density estimates": spared}
             steps.append(Step(term, "estimates by photons", "economy", reason, counts, at_most=True))
     if "window" in applied:
-        skip("window", "pixels without objects", rays=outside)
+        skip("window", "pixels without such objects", rays=outside)
     if "pixel" in applied:
         calls = 1 + (samples - 1).bit_length()  # of the kernel, one a prefix
         skip("pixel", "a pixel's further camera rays", at_most=True, rays=(sights - calls) * pixels)

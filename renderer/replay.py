@@ -22,6 +22,7 @@ import numpy as np
 
 from renderer.plan import skipped
 from renderer.recorder import Event
+from renderer.scratch import Seen
 from renderer.terms import Chain, Variant
 from renderer.tiles import Engine
 from scenes.model import Scene
@@ -120,14 +121,15 @@ class _Recorded(Engine):
         key: np.uint64,
         work: np.ndarray,
         out: np.ndarray,
+        seen: Seen,
         cancel: threading.Event | None,
     ) -> None:
         ((x, y, x1, y1, first, last, split),) = work.tolist()
         given: tuple | None = inputs
         for index in range(first, last):
             one, alone = np.array([[x, y, x1, y1, index, index + 1, split]]), np.zeros_like(out)
-            super()._run(variant, inputs, key, one, alone, cancel)
-            super()._run(variant, inputs, key, one, out, cancel)
+            super()._run(variant, inputs, key, one, alone, seen, cancel)
+            super()._run(variant, inputs, key, one, out, seen, cancel)
             events, traced = self._trace((given, key, x, y, index, split))
             given = None
             self.samples.append(Sample(index, events, alone[y, x], _ulp(traced, alone[y, x])))

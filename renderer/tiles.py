@@ -28,9 +28,10 @@ from renderer.plan import (
     skipped,
 )
 from renderer.rng import root, stream
-from renderer.scratch import COUNTERS, Scratch, new_scratch
+from renderer.scratch import COUNTERS, NOTHING_SEEN, SEEN_BYTES, Scratch, Seen, new_scratch, new_seen
 from renderer.terms.variant import Chain, Stored, Variant
 from scenes.model import Scene
+from scenes.terms import TERMS
 
 TILE = 32
 # Calls of a kernel, each for several tiles: one costs 25 to 60 µs, mostly Python's, which threads do not share. Of 16
@@ -88,8 +89,9 @@ class Engine:
     without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work; or of ECONOMIES: the same
         mean for more noise.
     adaptive : whether a pilot decides how many samples each tile gets, see `renderer.adaptive`; N is then the mean.
-    map_bytes : memory for photon maps, kept while one replicate is rendered: terms that mean the same maps trace them
-        once, which changes no bit, but the seconds of the second.
+    kept_bytes : memory for photon maps, and as much for what camera rays meet, kept while one replicate is rendered:
+        terms that mean the same maps trace them once, and all terms the camera rays, which changes no bit, but the
+        seconds of those that come later.
     pixel : (x, y) of the one pixel that is rendered, to the bit as in a whole image; all others stay black.
 
     Attributes
@@ -105,7 +107,7 @@ class Engine:
         threads: int | None = None,
         without: Collection[str] = (),
         adaptive: bool = False,
-        map_bytes: int = 0,
+        kept_bytes: int = 0,
         pixel: tuple[int, int] | None = None,
     ) -> None:
         if threads is not None and threads < 1:
@@ -129,25 +131,31 @@ class Engine:
         self._local = threading.local()
         self.kernels: set[str] = set()
         self._warmed: set[tuple[Variant, Chain, Stored | None]] = set()
-        self._map_bytes = map_bytes
+        self._kept_bytes = kept_bytes
         self._maps: dict[tuple, photon_map.PhotonMap] = {}
         width, height = scene.resolution
+        self._seen, self._seen_key = NOTHING_SEEN, np.uint64(0)
         everywhere = np.full((height, width), pixel is None)
         if pixel is not None:
             for name, at, size in zip("xy", pixel, (width, height), strict=True):
                 if not 0 <= at < size:
                     raise ValueError(f"{scene.name}: {name} = {at}: allowed is an integer in [0, {size - 1}]")
             everywhere[pixel[1], pixel[0]] = True
-        # The tiles of adaptive counts decide the image, so the threads may not decide the tiles.
-        least = 1 if adaptive else _TILES_A_THREAD * threads
         self.adaptive = adaptive
         self._threads = threads
-        side = SIDE if adaptive else TILE
-        self._everywhere = _tiles(everywhere, least=least, side=side)
-        # Those that may see an object: all terms but a textured sky are zero, or constant, in the others.
-        self.tiles = _tiles(
-            everywhere if "window" in self.without else everywhere & may_see(scene), least=least, side=side
-        )
+        self._everywhere = self._tiles(everywhere)
+        # Of each term, those that may see an object that has it. All others are black, or the constant sky.
+        self.tiles = {
+            term: self._everywhere
+            if "window" in self.without or needs_every_pixel(scene, term)
+            else self._tiles(everywhere & may_see(scene, term))
+            for term in TERMS
+        }
+
+    def _tiles(self, wanted: np.ndarray) -> list[Tile]:
+        """Tiles that hold the wanted pixels; those of adaptive counts decide the image, so the threads do not."""
+        least, side = (1, SIDE) if self.adaptive else (_TILES_A_THREAD * self._threads, TILE)
+        return _tiles(wanted, least=least, side=side)
 
     def __enter__(self) -> Self:
         """Return the engine; its threads end with the block."""
@@ -234,7 +242,7 @@ class Engine:
         photons = photon_map.empty()
         # Each pass has its own radius, hence its own map.
         per_map = _CHAINS_A_MAP if chain == "paper" and variant.term == "specular" else 1
-        tiles = self._everywhere if needs_every_pixel(self.scene, variant.term) else self.tiles
+        tiles = self.tiles[variant.term]
         # Adaptive counts are so few in places that each sample needs a camera ray.
         split = 1 if self.adaptive or "splitting" in self.without else variant.split(self.scene)
         done = 0
@@ -256,8 +264,9 @@ class Engine:
                     emitted = self.scene.photons.count
                     photons = self._shared(variant, chain, stored, key, number, emitted, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
-                self._run(variant, inputs, key, _work(tiles, share, first, last, split), out, cancel)
-                if tiles is self.tiles and variant.term == "background":
+                work = _work(tiles, share, first, last, split)
+                self._run(variant, inputs, key, work, out, self._sights(key, samples), cancel)
+                if variant.term == "background":
                     self._add_sky(out, last - first)
                 first = last
                 if progress:
@@ -318,15 +327,17 @@ class Engine:
                 stream(key, number),
                 _work(tiles, np.ones(len(tiles)), 0, PILOT, 1),
                 image,
+                NOTHING_SEEN,
                 cancel,
             )
         return shares(tiles, *images)
 
     def _add_sky(self, out: np.ndarray, samples: int) -> None:
         """What `samples` of a constant sky add beyond the window, rounded as a kernel's sum is."""
-        beyond = np.ones(out.shape[:2], np.bool_)
-        for tile in self.tiles:
-            beyond[tile.y0 : tile.y1, tile.x0 : tile.x1] = False
+        beyond = np.zeros(out.shape[:2], np.bool_)
+        for tiles, is_beyond in ((self._everywhere, True), (self.tiles["background"], False)):
+            for tile in tiles:
+                beyond[tile.y0 : tile.y1, tile.x0 : tile.x1] = is_beyond
         if self.scene.sky.texture is not None or not beyond.any():
             return
         sky, summed = np.array(self.scene.sky.color), out[beyond][0]
@@ -356,6 +367,7 @@ class Engine:
         key: np.uint64,
         work: np.ndarray,
         out: np.ndarray,
+        seen: Seen,
         cancel: threading.Event | None,
     ) -> None:
         driver = variant.driver
@@ -363,10 +375,21 @@ class Engine:
         scratch = self._unless(cancel)
 
         def draw(part: np.ndarray) -> None:
-            driver(self.arrays, *inputs, key, part, out, scratch())
+            driver(self.arrays, *inputs, key, part, out, scratch()._replace(seen=seen))
 
         for _ in self.pool.map(draw, self._parts(work)):
             pass
+
+    def _sights(self, key: np.uint64, samples: int) -> Seen:
+        """Room for what the camera rays of a replicate meet; what another one has left there is forgotten."""
+        width, height = self.scene.resolution
+        room = min(samples, self._kept_bytes // (width * height * SEEN_BYTES))
+        if room > self._seen.face.shape[1]:
+            self._seen = new_seen(height, width, room)
+        elif self._seen_key != key:
+            self._seen.known[:] = 0
+        self._seen_key = key
+        return self._seen
 
     def _parts(self, work: np.ndarray) -> list[np.ndarray]:
         """Work (N, 7) in parts of every n-th tile, which take about the same time."""
@@ -412,7 +435,7 @@ class Engine:
         if name in self._maps:
             return self._maps[name]
         made = self._photons(variant, chain, stored, key, index, count, scratch)
-        if sum(map(photon_map.bytes_of, (*self._maps.values(), made))) <= self._map_bytes:
+        if sum(map(photon_map.bytes_of, (*self._maps.values(), made))) <= self._kept_bytes:
             self._maps[name] = made
         return made
 

@@ -14,7 +14,7 @@ import attrs
 import numpy as np
 
 from renderer import Engine, Variant, find
-from renderer.plan import ECONOMIES, needs_photons
+from renderer.plan import ECONOMIES, needs_photons, skipped
 from renderer.terms import Chain
 from reports import verdict
 from reports.bench.common import known, machine, positive, spread
@@ -37,6 +37,7 @@ _ESTIMATORS: tuple[tuple[str, str, Chain], ...] = (
     ("specular", "vndf", "path"),
     ("specular", "vndf", "next-event"),
     ("specular", "paper", "path"),
+    ("background", "seen", "next-event"),
 )
 
 
@@ -111,7 +112,7 @@ def cases(scenes: tuple[str, ...], economies: tuple[str, ...], resolution: int) 
             for term, estimator, chain in _ESTIMATORS:
                 variant = find(term, estimator)
                 by_photons = needs_photons(scene, variant, chain) is not None
-                if variant.limit(scene, 1).scope not in (None, scene.scope):
+                if skipped(scene, variant.term) or variant.limit(scene, 1).scope not in (None, scene.scope):
                     continue
                 # A chain without photons is the same by either name.
                 if term == "specular" and chain == "next-event" and not by_photons:

@@ -159,13 +159,13 @@ class _Samples(Engine):
         self.arrays = self.arrays._replace(geometry=self.arrays.geometry._replace(tree=tree))
         self.images: list[np.ndarray] | None = None
 
-    def _run(self, variant, inputs, key, work, out, cancel):
-        super()._run(variant, inputs, key, work, out, cancel)
+    def _run(self, variant, inputs, key, work, out, seen, cancel):
+        super()._run(variant, inputs, key, work, out, seen, cancel)
         if self.images is not None:
             for index in range(work[0, 4], work[0, 5]):
                 alone, one = np.zeros_like(out), work.copy()
                 one[:, 4], one[:, 5] = index, index + 1
-                super()._run(variant, inputs, key, one, alone, cancel)
+                super()._run(variant, inputs, key, one, alone, seen, cancel)
                 self.images.append(alone)
 
 

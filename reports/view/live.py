@@ -290,7 +290,7 @@ class Live:
             found = known.get(state.content(term))
             if found is None:
                 if engine is None:
-                    engine = Engine(state.scene, threads=self._threads, map_bytes=_MAP_BYTES)
+                    engine = Engine(state.scene, threads=self._threads, kept_bytes=_MAP_BYTES)
                 found = _Sum(state, term, engine)
             else:
                 found.cancel.clear()  # a step that was called off as it ended
@@ -336,7 +336,7 @@ class Live:
         coarse = attrs.evolve(state.scene, resolution=(width // 2, height // 2), photons=fewer)
         views = self._views(state, False)
         rows, columns = np.arange(height) * (height // 2) // height, np.arange(width) * (width // 2) // width
-        with Engine(coarse, threads=self._threads, map_bytes=_MAP_BYTES) as engine:
+        with Engine(coarse, threads=self._threads, kept_bytes=_MAP_BYTES) as engine:
             for term in new:
                 if self._closed:
                     raise Cancelled

@@ -14,8 +14,9 @@ from scipy import stats
 from renderer import Engine, find
 from renderer.adaptive import SIDE, shares
 from renderer.film import Tile
+from scenes.analytic import plate
 from scenes.load import load
-from scenes.model import Scene
+from scenes.model import Camera, Material, Scene, Sky
 
 TILES = [Tile(0, 0, 4, 4), Tile(4, 0, 8, 4), Tile(0, 4, 4, 8), Tile(4, 4, 8, 8)]
 
@@ -41,8 +42,38 @@ def test_no_tile_starves_and_no_more_is_spent_than_asked():
         np.testing.assert_array_equal(np.log2(found) % 1, 0.0)
 
 
-def test_a_pilot_without_noise_leaves_the_counts():
-    np.testing.assert_array_equal(shares(TILES, *two_images([0.0] * 4)), 1.0)
+def test_one_sample_is_enough_where_nothing_varies():
+    """Of 3 x 3 tiles one corner varies: it and the three beside it have their counts, the others one sample."""
+    nine = [Tile(x, y, x + SIDE, y + SIDE) for y in range(0, 3 * SIDE, SIDE) for x in range(0, 3 * SIDE, SIDE)]
+    one = np.zeros((3 * SIDE, 3 * SIDE, 3))
+    one[:SIDE, :SIDE] = 1.0
+    np.testing.assert_array_equal(
+        shares(nine, one, np.zeros_like(one)).reshape(3, 3), [[8, 0.25, 0], [0.25, 0.25, 0], [0, 0, 0]]
+    )
+    np.testing.assert_array_equal(shares(nine, one, one), 0.0)
+    assert shares([], one, one).shape == (0,)
+
+
+def test_a_constant_sky_takes_one_sample(monkeypatch):
+    """A small plate amid the sky: four tiles of 36 see it, 20 have none of these beside them."""
+    size = 6 * SIDE
+    thing = plate("plate", (-0.1, 0.0, -0.1), (0.2, 0.0, 0.0), (0.0, 0.0, 0.2), Material((0.5, 0.5, 0.5)))
+    camera = Camera((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), fov=90.0)
+    scene = Scene("plate", camera, (thing,), sky=Sky((0.25, 0.5, 1.0)), resolution=(size, size))
+    given = []
+
+    def spied(*arguments: Any) -> np.ndarray:
+        given.append(shares(*arguments))
+        return given[-1]
+
+    monkeypatch.setattr("renderer.tiles.shares", spied)
+    with Engine(scene, threads=2, adaptive=True, without=("window",)) as engine:
+        *_, (_, image, _) = engine.prefixes(find("background"), samples=16, seed=1, replicate=0)
+    assert (given[0] == 0.0).sum() == 20
+    samples = np.maximum(1, np.floor(16 * given[0]))
+    assert engine.counts["rays"] == SIDE * SIDE * (36 * 8 + samples.sum())
+    np.testing.assert_array_equal(image[0, 0], scene.sky.color)
+    assert not image[size // 2, size // 2].any()
 
 
 def test_same_bits_for_any_threads_and_prefixes(compiled):

@@ -14,6 +14,7 @@ from scipy import special
 import renderer
 from renderer import VARIANTS, Engine, photon_map, render, tiles
 from renderer.plan import plan, skipped
+from renderer.scratch import SEEN_BYTES
 from scenes.analytic import (
     closed_box,
     disc_over_plane,
@@ -415,9 +416,9 @@ def test_images_do_not_depend_on_the_image_s_other_tiles(busy):
     found = renderer.find("ambient")
     with Engine(busy) as engine:
         *_, (_, whole, _) = engine.prefixes(found, samples=2, seed=1, replicate=0)
-        engine.tiles = engine.tiles[:1]
+        engine.tiles["ambient"] = engine.tiles["ambient"][:1]
         *_, (_, part, _) = engine.prefixes(found, samples=2, seed=1, replicate=0)
-    tile = engine.tiles[0]
+    (tile,) = engine.tiles["ambient"]
     np.testing.assert_array_equal(part[: tile.y1, : tile.x1], whole[: tile.y1, : tile.x1])
     assert not part[tile.y1 :].any()
 
@@ -550,7 +551,7 @@ def test_photon_maps_are_shared(scattering, variant, maps_kept, traced, compiled
             images.append(list(engine.prefixes(each, samples=4, seed=2, replicate=0))[-1][1])
         a_map = engine.counts["photons"] // 8
     monkeypatch.setattr(photon_map, "bytes_of", lambda photons: 1)  # so that memory counts maps
-    with Engine(scene, map_bytes=maps_kept) as engine:
+    with Engine(scene, kept_bytes=maps_kept) as engine:
         for each, image in zip(wanted, images, strict=True):
             again = list(engine.prefixes(each, samples=4, seed=2, replicate=0))[-1][1]
             assert again.tobytes() == image.tobytes()
@@ -558,6 +559,72 @@ def test_photon_maps_are_shared(scattering, variant, maps_kept, traced, compiled
         before = engine.counts["photons"]
         list(engine.prefixes(wanted[1], samples=1, seed=2, replicate=1))
         assert engine.counts["photons"] == before + a_map
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes"),
+    [
+        ("cornell_box", {}),
+        ("cornell_box", {"pixel": "centre"}),
+        ("two_cubes", {}),  # photon maps: a kernel call for each sample
+        ("monkey", {"intersection": "paper"}),
+    ],
+)
+@pytest.mark.parametrize("sights", [0, 3, 64])
+def test_camera_rays_are_shared(scene, changes, sights, compiled, monkeypatch):
+    """All terms look along the same rays: those that there is room for are traced once, and no bit changes."""
+    scene = attrs.evolve(small(load(scene), compiled, 8), draw_lights=True)
+    if "pixel" in changes:
+        scene = attrs.evolve(scene, camera=attrs.evolve(scene.camera, **changes))
+    else:
+        scene = attrs.evolve(scene, **changes)
+    samples, (width, height) = 16, scene.resolution
+    kept = sights * width * height * SEEN_BYTES
+    monkeypatch.setattr(photon_map, "bytes_of", lambda photons: kept + 1)  # camera rays alone
+
+    def drawn(engine: Engine, replicate: int) -> list[bytes]:
+        found = []
+        for term in TERMS:
+            steps = engine.prefixes(renderer.find(term), samples=samples, seed=2, replicate=replicate)
+            found += [image.tobytes() for _, image, _ in steps]
+        return found
+
+    with Engine(scene, threads=2) as engine, Engine(scene, threads=2, kept_bytes=kept) as sharing:
+        for replicate in (0, 1, 0):
+            before, shared_before = engine.counts["rays"], sharing.counts["rays"]
+            assert drawn(engine, replicate) == drawn(sharing, replicate)
+            spared = (engine.counts["rays"] - before) - (sharing.counts["rays"] - shared_before)
+            assert (spared > 0) == (sights > 0)
+
+
+def test_the_plan_counts_the_camera_rays_that_are_shared(compiled, monkeypatch):
+    """In the box, of which every pixel sees something; with room for all, and for six sights of a pixel."""
+    scene = attrs.evolve(small(load("cornell_box"), compiled, 8), draw_lights=True)
+    width, height = scene.resolution
+    variants: dict[Term, renderer.Variant] = {term: renderer.find(term) for term in TERMS}
+    for room in (64, 6):
+        kept = room * width * height * SEEN_BYTES
+        monkeypatch.setattr("renderer.plan.KEPT_BYTES", kept)
+        planned = {
+            step.term: step.saved["rays"]
+            for step in plan(scene, variants, samples=16, together=True)
+            if step.kind == "reuse"
+        }
+        assert list(planned) == ["direct", "specular", "background"]
+        with Engine(scene, threads=2) as engine, Engine(scene, threads=2, kept_bytes=kept) as sharing:
+            for term in TERMS:
+                spent = []
+                for each in (engine, sharing):
+                    before = each.counts["rays"]
+                    list(each.prefixes(variants[term], samples=16, seed=2, replicate=0))
+                    spent.append(each.counts["rays"] - before)
+                spared = spent[0] - spent[1]
+                if room == 64 and term == "background":
+                    assert spared == planned[term]
+                elif term in planned:
+                    # Eight at once, or none; the tiles of specular cover more than its window.
+                    bound = scene.resolution[0] * scene.resolution[1] * 16
+                    assert 0.5 * planned[term] < spared <= (bound if term == "specular" else planned[term])
 
 
 # Degenerate scenes and bad arguments.

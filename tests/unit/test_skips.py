@@ -16,7 +16,7 @@ from renderer.openness import open_sides
 from renderer.plan import SKIPS, may_see, plan
 from scenes.analytic import disc_over_plane, furnace, plate
 from scenes.load import library, load
-from scenes.model import Ambient, Camera, Material, Mesh, Object, Scene, Sky, Toggles
+from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky, Toggles
 from scenes.terms import TERMS, Term
 
 RAYS, OCCLUSION, PHOTONS, DENSITIES = "rays", "occlusion rays", "photons", "density estimates"
@@ -67,6 +67,19 @@ def apart() -> Scene:
     )
 
 
+def half_black() -> Scene:
+    """The same, the plate a mirror in the shadow of the cube."""
+    scene = apart()
+    plate_, cube = scene.objects
+    mirror = attrs.evolve(plate_, material=Material((0.5, 0.5, 0.5), gloss=1.0))
+    return attrs.evolve(
+        scene,
+        objects=(mirror, cube),
+        lights=(PointLight((0.0, 0.5, 6.0), (9.0, 9.0, 9.0)),),
+        scope="first-hit",
+    )
+
+
 CUBES, BOX, MONKEY = load("two_cubes"), load("cornell_box"), load("monkey")
 OFF = Toggles(ambient_occlusion=False)
 MIRRORS = with_material(MONKEY, color=(0.0, 0.0, 0.0), gloss=0.9)
@@ -76,13 +89,17 @@ CASES = [
     ("term", BOX, "background", None, RAYS, True),
     ("term", attrs.evolve(BOX, ambient=Ambient()), "ambient", None, RAYS, True),
     ("term", attrs.evolve(MONKEY, lights=()), "direct", None, RAYS, True),
-    ("term photons", MIRRORS, "direct", None, PHOTONS, True),
+    ("term photons window", MIRRORS, "direct", None, PHOTONS, True),
     ("term", attrs.evolve(BOX, max_bounces=0), "specular", None, RAYS, True),
-    ("term", attrs.evolve(BOX, toggles=Toggles(reflections=False)), "specular", None, RAYS, True),
+    ("term window", attrs.evolve(BOX, toggles=Toggles(reflections=False)), "specular", None, RAYS, True),
     ("photons", MIRRORS, "specular", None, PHOTONS, True),
     ("window", CUBES, "ambient", None, RAYS, False),
     ("window", CUBES, "direct", None, RAYS, False),
     ("window", CUBES, "specular", None, RAYS, False),
+    ("window", BOX, "specular", None, RAYS, False),  # only the blocks are glossy
+    ("window", half_black(), "ambient", None, RAYS, False),
+    ("window", half_black(), "direct", None, RAYS, False),
+    ("window", attrs.evolve(half_black(), shadows="paper"), "ambient", None, RAYS, False),
     ("window", MONKEY, "background", None, RAYS, False),
     ("window", attrs.evolve(MONKEY, objects=()), "background", None, RAYS, True),
     ("pixel", of_rule(CUBES, "corner"), "ambient", None, RAYS, False),
@@ -247,7 +264,7 @@ def test_the_plan_counts_what_is_saved(compiled):
     """Work that the plan says is saved is what the counters show, or a bound of it."""
     variants: dict[Term, Variant] = {term: find(term) for term in TERMS}
     skips = {
-        "pixels without objects": "window",
+        "pixels without such objects": "window",
         "occlusion rays": "occlusion",
         "a pixel's further camera rays": "pixel",
         "photon maps": "photons",
