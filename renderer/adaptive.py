@@ -18,9 +18,9 @@ _LEAST, _MOST = -2, 4
 
 
 def shares(tiles: list[Tile], one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Samples of each tile over the mean count, powers of two, or 0 for one sample; their mean over pixels is at most 1.
+    """Samples of each tile over the mean count, powers of two, or 0 for one; their mean over pixels is at most 1.
 
-    One sample is enough where neither a tile nor what is beside it varies, which 4608 samples of the pilot say.
+    One sample is enough where neither a tile nor what is beside it varies: 4608 samples of the pilot say so.
 
     Parameters
     ----------

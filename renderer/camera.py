@@ -8,22 +8,30 @@ from renderer.arrays import CameraArrays
 from renderer.geometry.intersect import Ray, make_ray
 from renderer.jit import device
 from renderer.sobol import Sampler, sample_2d
-from renderer.vector import mad, normalize
+from renderer.vector import Vec3, mad, normalize
 
 CORNER, CENTRE, JITTER = range(3)  # as in arrays.PIXEL_RULES
 FILM = 0  # the pair of dimensions that places a sample in its pixel
 
 
 @device
+def point_in_pixel(camera: CameraArrays, sampler: Sampler) -> tuple[float, float]:
+    """Where in its pixel a ray goes through the film, in [0, 1]²."""
+    if camera.rule == JITTER:
+        return sample_2d(sampler, FILM)
+    shift = 0.5 if camera.rule == CENTRE else 0.0
+    return shift, shift
+
+
+@device
+def direction_through(camera: CameraArrays, x: float, y: float) -> Vec3:
+    """Unit direction through film position (x, y), in pixels."""
+    direction = mad(camera.across, x / camera.width, camera.corner)
+    return normalize(mad(camera.down, y / camera.height, direction))
+
+
+@device
 def camera_ray(camera: CameraArrays, x: int, y: int, sampler: Sampler) -> Ray:
     """Ray through pixel (x, y), direction of unit length."""
-    u = 0.0
-    v = 0.0
-    if camera.rule == CENTRE:
-        u = 0.5
-        v = 0.5
-    elif camera.rule == JITTER:
-        u, v = sample_2d(sampler, FILM)
-    direction = mad(camera.across, (x + u) / camera.width, camera.corner)
-    direction = mad(camera.down, (y + v) / camera.height, direction)
-    return make_ray(camera.position, normalize(direction))
+    u, v = point_in_pixel(camera, sampler)
+    return make_ray(camera.position, direction_through(camera, x + u, y + v))

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from renderer.arrays import CameraArrays, SceneArrays
-from renderer.camera import CENTRE, JITTER, camera_ray
+from renderer.camera import CENTRE, JITTER, camera_ray, direction_through, point_in_pixel
+from renderer.geometry.intersect import make_ray
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
 from renderer.rng import fold
@@ -128,21 +129,25 @@ def see(
 @device
 def _look(scene: SceneArrays, key: np.uint64, y: int, begin: int, count: int, scratch: Scratch) -> None:
     """Trace the first `count` sights of row y, `begin` being the first of a pixel, and keep those there is room for."""
-    sights = scratch.sights
-    free = scene.camera.rule == JITTER or not scene.skips.pixel
+    sights, camera = scratch.sights, scene.camera
+    # Loops of their own: what hashes and maps eight points is vectorised.
     for i in range(count):
-        if free or scratch.index[i] == begin:
-            ray = camera_ray(scene.camera, scratch.x[i], y, sampler_of(scene, key, y, i, scratch))
-            put_ray(sights, i, ray.origin, ray.direction)
-            if not free:
-                put_hit(sights, i, closest(scene, ray, math.inf, -1, scratch))
-        else:
-            # Before sight 0 comes the last one of the 8 before.
-            before = (i - 1) % SIZE
-            put_ray(sights, i, vec3(sights.origins, before), vec3(sights.directions, before))
-            put_hit(sights, i, hit_of(sights, before))
-    if free:
+        scratch.u[i], scratch.v[i] = point_in_pixel(camera, sampler_of(scene, key, y, i, scratch))
+    for i in range(count):
+        direction = direction_through(camera, scratch.x[i] + scratch.u[i], y + scratch.v[i])
+        put(sights.directions, i, direction)
+    for i in range(count):
+        put_ray(sights, i, camera.position, vec3(sights.directions, i))
+    if camera.rule == JITTER or not scene.skips.pixel:
         trace_group(scene, sights, count, scratch)
+    else:
+        for i in range(count):
+            if scratch.index[i] == begin:
+                ray = make_ray(camera.position, vec3(sights.directions, i))
+                put_hit(sights, i, closest(scene, ray, math.inf, -1, scratch))
+            else:
+                # Before sight 0 comes the last one of the 8 before.
+                put_hit(sights, i, hit_of(sights, (i - 1) % SIZE))
     seen = scratch.seen
     for i in range(count):
         x, index = scratch.x[i], scratch.index[i]
