@@ -93,12 +93,10 @@ def _pick_by_light(scene: SceneArrays, surface: Surface, u: float) -> tuple[int,
 
 
 @device
-def sample_light(
-    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int
-) -> tuple[Vec3, Vec3, int]:
-    """E / pi at a surface by one sample, were it not hidden; the way to the light, and its face (-1: a point).
+def sample_light(scene: SceneArrays, surface: Surface, u: float, v: float) -> tuple[Vec3, Vec3, int]:
+    """E / pi at a surface by the sample (u, v), were it not hidden; the way to the light, and its face (-1: a point).
 
-    Uses the pair `dimension`. Black where no light can come from, without a ray.
+    Black where no light can come from, without a ray.
     """
     black = Vec3(0.0, 0.0, 0.0)
     emitters = scene.emitters
@@ -106,7 +104,6 @@ def sample_light(
         return black, black, -1
     index = 0
     probability = 1.0
-    u, v = sample_2d(sampler, dimension)
     if scene.pick_by_light:
         index, probability, u = _pick_by_light(scene, surface, u)
         if probability == 0.0:
@@ -142,7 +139,8 @@ def light_irradiance(
     scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch
 ) -> Vec3:
     """E / pi at a surface, one sample; uses the pair `dimension`."""
-    irradiance, direction, target = sample_light(scene, surface, sampler, dimension)
+    u, v = sample_2d(sampler, dimension)
+    irradiance, direction, target = sample_light(scene, surface, u, v)
     if scene.skips.horizon and is_black(irradiance):
         return irradiance
     if occluded(scene, surface, direction, 1.0, target, scratch):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from renderer.arrays import LIGHT_SAMPLES
 from renderer.geometry.bvh import STACK_SIZE
 from renderer.geometry.packets import SIZE, Group, new_group
 
@@ -54,7 +55,8 @@ class Scratch(NamedTuple):
     radiance, hidden : (8, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
     rays : the occlusion rays; `lane` (8,) int64 is the sample of each.
     key, sample : (8,) uint64 and uint32, the randomness of each occlusion ray.
-    u, v : (8,) float64 each, its point of the unit square.
+    u, v : (8 LIGHT_SAMPLES,) float64 each, points of the unit square: of the camera rays, then of what leaves their
+        hits.
     seen : the sights that are kept, which all threads share.
     """
 
@@ -90,7 +92,7 @@ def new_scratch() -> Scratch:
         np.zeros(SIZE, np.int64),
         np.zeros(SIZE, np.uint64),
         np.zeros(SIZE, np.uint32),
-        np.zeros(SIZE),
-        np.zeros(SIZE),
+        np.zeros(SIZE * LIGHT_SAMPLES),
+        np.zeros(SIZE * LIGHT_SAMPLES),
         NOTHING_SEEN,
     )

@@ -113,6 +113,21 @@ def direct_nearest(
     return scale(mul(weight, irradiance), factor * INV_PI * scene.irradiance_factor)
 
 
+@device
+def _aim(scene: SceneArrays, key: np.uint64, y: int, count: int, scratch: Scratch) -> None:
+    """Draw the points of the light samples of row y's first `count` sights: the k-th of sight i is point `8 k + i`.
+
+    In a loop of its own, which is vectorised. A point light alone leaves nothing to draw.
+    """
+    if len(scene.emitters.cdf) == len(scene.emitters.point) == 1:
+        return
+    for k in range(scene.light_samples):
+        for i in range(count):
+            sample = np.uint32(scene.light_samples * scratch.index[i] + k)
+            sampler = Sampler(pixel_key(scene, key, y, scratch.x[i]), sample)
+            scratch.u[SIZE * k + i], scratch.v[SIZE * k + i] = sample_2d(sampler, LIGHT)
+
+
 @kernel
 def _next_event(
     scene: SceneArrays,
@@ -128,6 +143,7 @@ def _next_event(
         for y in range(tile.y0, tile.y1):
             for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
                 count = see(scene, key, tile, y, start, first, last, 1, scratch)
+                _aim(scene, key, y, count, scratch)
                 waiting = 0
                 asking = 0
                 for i in range(count):
@@ -141,11 +157,10 @@ def _next_event(
                     ):
                         scattered = estimate_irradiance(scene, photons, surface, scratch)
                         hidden = scale(_reflected(scene, surface, Vec3(0.0, 0.0, 0.0), scattered), share)
-                        pixel = pixel_key(scene, key, y, scratch.x[i])
-                        begin = scene.light_samples * scratch.index[i]
-                        for sample in range(begin, begin + scene.light_samples):
-                            sampler = Sampler(pixel, np.uint32(sample))
-                            straight, direction, target = sample_light(scene, surface, sampler, LIGHT)
+                        for k in range(i, scene.light_samples * SIZE, SIZE):
+                            straight, direction, target = sample_light(
+                                scene, surface, scratch.u[k], scratch.v[k]
+                            )
                             radiance = scale(_reflected(scene, surface, straight, scattered), share)
                             scratch.column[waiting] = scratch.x[i]
                             put(scratch.radiance, waiting, radiance)
