@@ -8,6 +8,7 @@ import numpy as np
 
 from renderer.geometry import packets, simd, traverse, wide_traverse
 from renderer.geometry.bvh import STACK_SIZE, Tree
+from renderer.geometry.few import DOUBT, HIT, any_hit_of_few
 from renderer.geometry.intersect import NOTHING, FaceRange, Hit, Ray, make_ray
 from renderer.geometry.packets import Group, put_hit
 from renderer.jit import device, kernel
@@ -52,6 +53,10 @@ if _VECTORS:
         stack: np.ndarray,
     ) -> bool:
         """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far."""
+        if len(tree.wide.few.corners) > 0:
+            found = any_hit_of_few(tree.wide.few, ray.origin, ray.direction, far, ignore, target)
+            if found != DOUBT:
+                return found == HIT
         return wide_traverse.any_hit(tree.wide, ray, far, ignore, target, stack)
 
     @device
@@ -84,6 +89,12 @@ if _VECTORS:
         stack: np.ndarray,
     ) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
+        if len(tree.wide.few.corners) > 0:
+            for i in range(count):
+                ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+                ignore = FaceRange(group.first[i], group.end[i])
+                group.found[i] = any_hit(corners, tree, ray, far, ignore, group.target[i], stack)
+            return
         if coherent and count == packets.SIZE and _hopeful(group, _ANY):
             packet = packets.make_packet(tree.wide, group)
             if packet.coherent and packets.any_hits_of_packet(tree.wide, packet, group, far, stack):

@@ -331,19 +331,29 @@ def choose(typingctx: Any, mask: Any, a: Any, b: Any) -> Any:
     return a(mask, a, a), lambda context, builder, sig, args: builder.select(*args)
 
 
-@intrinsic
-def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
-    """Lane by lane a b + c, rounded once."""
-
+def _fused(negative: bool) -> Any:
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = args[0].type
         suffix = "f32" if isinstance(kind.element, ir.FloatType) else "f64"
         declared = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(kind, [kind] * 3), f"llvm.fma.v{kind.count}{suffix}"
         )
-        return builder.call(declared, args)
+        a, b, c = args
+        return builder.call(declared, (a, b, builder.fneg(c) if negative else c))
 
-    return a(a, a, a), codegen
+    return codegen
+
+
+@intrinsic
+def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
+    """Lane by lane a b + c, rounded once."""
+    return a(a, a, a), _fused(False)
+
+
+@intrinsic
+def fms(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
+    """Lane by lane a b - c, rounded once."""
+    return a(a, a, a), _fused(True)
 
 
 @intrinsic

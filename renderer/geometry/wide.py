@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from renderer.geometry.few import Few, few_of
 from renderer.geometry.intersect import component
 from renderer.jit import kernel
 from renderer.vector import Vec3
@@ -44,17 +45,21 @@ class Wide(NamedTuple):
     leaves : (LEAF L,) float32 or float64; faces are int32 bits, -1 beside a triangle without area in unused lanes.
     center : Vec3.
     scale : a power of 2.
+    few : the triangles without a tree, if they are few.
     """
 
     nodes: np.ndarray
     leaves: np.ndarray
     center: Vec3
     scale: float
+    few: Few
 
 
 def empty() -> Wide:
     """No node: of an empty scene, or where vectors are not available."""
-    return Wide(np.zeros(0, np.float32), np.zeros(0, np.float32), Vec3(0.0, 0.0, 0.0), 1.0)
+    center = Vec3(0.0, 0.0, 0.0)
+    none = few_of(np.zeros((0, 3, 3)), center, 1.0)
+    return Wide(np.zeros(0, np.float32), np.zeros(0, np.float32), center, 1.0, none)
 
 
 @kernel
@@ -249,4 +254,4 @@ def collapse(
         leaves,
         leaves.view(np.int32),
     )
-    return Wide(nodes.ravel(), leaves.ravel(), center, scale)
+    return Wide(nodes.ravel(), leaves.ravel(), center, scale, few_of(corners, center, scale))

@@ -44,7 +44,9 @@ def test_no_tile_starves_and_no_more_is_spent_than_asked():
 
 def test_one_sample_is_enough_where_nothing_varies():
     """Of 3 x 3 tiles one corner varies: it and the three beside it have their counts, the others one sample."""
-    nine = [Tile(x, y, x + SIDE, y + SIDE) for y in range(0, 3 * SIDE, SIDE) for x in range(0, 3 * SIDE, SIDE)]
+    nine = [
+        Tile(x, y, x + SIDE, y + SIDE) for y in range(0, 3 * SIDE, SIDE) for x in range(0, 3 * SIDE, SIDE)
+    ]
     one = np.zeros((3 * SIDE, 3 * SIDE, 3))
     one[:SIDE, :SIDE] = 1.0
     np.testing.assert_array_equal(
