@@ -32,7 +32,7 @@ from scenes.limits import Limit
 from scenes.model import Scene
 
 OCCLUSION = 1  # the pair of dimensions of the occlusion ray
-# Occlusion rays that leave what one camera ray sees. Rays of their own take 1.1 to 1.5 times as long to the same error
+# Occlusion rays that leave what one camera ray sees. Rays of their own take 1.1 to 1.6 times as long to the same error
 # (four scenes, 128 x 128 pixels, 16 to 256 samples). Light samples gain less: where lights have an area, camera rays of
 # their own took 0.8 to 1.4 times as long.
 SPLIT = 4

@@ -33,7 +33,7 @@ def test_sights_share_out_all_samples(split):
 def test_camera_rays_are_shared():
     """All pixels of the box see something: the rays are counted, with splitting and without."""
     pixels = BOX.resolution[0] * BOX.resolution[1]
-    for without, rays in (((), 8 + 24 // SPLIT), (("splitting",), 32)):
+    for without, rays in (((), ALONE + (32 - ALONE) // SPLIT), (("splitting",), 32)):
         with Engine(BOX, threads=1, without=without) as engine:
             list(engine.prefixes(find("ambient"), samples=32, seed=1, replicate=0, counts=(32,)))
         assert engine.counts["rays"] == rays * pixels
