@@ -52,9 +52,9 @@ class Recorder:
         """Add an event."""
         self.events.append({"event": event} | {name: _plain(value) for name, value in values.items()})
 
-    def camera_ray(self, given: Any, ray: Any, caller: FrameType) -> None:
+    def direction_through(self, given: Any, direction: Any, caller: FrameType) -> None:
         """The ray through the pixel."""
-        self.note("camera ray", position=ray.origin, direction=ray.direction)
+        self.note("camera ray", position=given.camera.position, direction=direction)
 
     def _surface(self, given: Any, found: Any, caller: FrameType) -> None:
         """What a ray meets."""
@@ -212,7 +212,7 @@ class Recorder:
 
 
 WATCHED: tuple[Callable[..., Any], ...] = (
-    camera.camera_ray,
+    camera.direction_through,
     film.accumulate,
     surface._surface,
     surface.shadowed,

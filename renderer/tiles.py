@@ -35,7 +35,7 @@ from scenes.terms import TERMS
 
 TILE = 32
 # Calls of a kernel, each for several tiles: one costs 25 to 60 µs, mostly Python's, which threads do not share. Of one
-# sample at 128 x 128 pixels, 3.2 ms on one thread, 2 threads with 2 parts each took 2.0 ms, with one part 1.85 ms; of 16
+# sample at 128 x 128 pixels, 3.2 ms on a thread, 2 threads with 2 parts each took 2.0 ms, with one part 1.85 ms; of 16
 # samples with 8 parts each 30.6 ms, with 2 parts 26.9 ms. Parts of much work stay many, so that none waits long for
 # another, nor who calls the work off.
 _FEWEST_PARTS, _MOST_PARTS, _SAMPLES_A_PART = 1, 8, 2**16

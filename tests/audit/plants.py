@@ -275,8 +275,8 @@ PLANTS = (
         "half-pixel shift",
         DIRECT,
         "renderer/camera.py",
-        "(x + u) / camera.width",
-        "(x + u + 0.5) / camera.width",
+        "mad(camera.across, x / camera.width",
+        "mad(camera.across, (x + 0.5) / camera.width",
     ),
     Plant(
         "scene file of another scene",
