@@ -1,8 +1,8 @@
 """`closest_hit` and `any_hit` as this machine computes them best, singly and in groups of 8 rays.
 
 Both descents meet the same face at the same t: the wide tree's, eight boxes or triangles at a time, and the binary
-tree's, the reference, which needs no vectors. A group is traced as a packet where that pays, else as a bundle. Among few
-triangles any hit is sought without a tree.
+tree's, the reference, which needs no vectors. A group is traced as a packet where that pays, else as a bundle. Among
+few triangles any hit is sought without a tree.
 """
 
 import numpy as np
