@@ -80,6 +80,29 @@ if _VECTORS:
         packets.closest_hits_of_bundle(tree.wide, group, count, far, stack)
 
     @device
+    def _any_hits_of_few(tree: Tree, group: Group, count: int, far: float, stack: np.ndarray) -> None:
+        """Write what `any_hit` gives for the first `count` rays of a group, where triangles are few."""
+        doubts = 0
+        for i in range(count):
+            found = any_hit_of_few(
+                tree.wide.few,
+                vec3(group.origins, i),
+                vec3(group.directions, i),
+                far,
+                FaceRange(group.first[i], group.end[i]),
+                group.target[i],
+            )
+            group.found[i] = found == HIT
+            if found == DOUBT:
+                doubts |= 1 << i
+        # In a loop of its own: what a descent needs would not leave the registers to the loop above.
+        for i in range(count):
+            if (doubts >> i) & 1 != 0:
+                ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+                ignore = FaceRange(group.first[i], group.end[i])
+                group.found[i] = wide_traverse.any_hit(tree.wide, ray, far, ignore, group.target[i], stack)
+
+    @device
     def any_hits_of_group(
         corners: np.ndarray,
         tree: Tree,
@@ -90,18 +113,15 @@ if _VECTORS:
         stack: np.ndarray,
     ) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
-        if len(tree.wide.few.corners) > 0:
-            for i in range(count):
-                ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
-                ignore = FaceRange(group.first[i], group.end[i])
-                group.found[i] = any_hit(corners, tree, ray, far, ignore, group.target[i], stack)
-            return
         if coherent and count == packets.SIZE and _hopeful(group, _ANY):
             packet = packets.make_packet(tree.wide, group)
             if packet.coherent and packets.any_hits_of_packet(tree.wide, packet, group, far, stack):
                 group.patience[_ANY, 1] = packets.PATIENCE
                 return
             _give_up(group, _ANY)
+        if len(tree.wide.few.corners) > 0:
+            _any_hits_of_few(tree, group, count, far, stack)
+            return
         packets.any_hits_of_bundle(tree.wide, group, count, far, stack)
 
 else:
