@@ -153,12 +153,12 @@ def _look(scene: SceneArrays, key: np.uint64, y: int, begin: int, count: int, sc
     for i in range(count):
         x, index = scratch.x[i], scratch.index[i]
         if index < seen.face.shape[1] and index == seen.known[y, x]:
-            seen.known[y, x] += 1
             seen.face[y, index, x] = sights.face[i]
             seen.ray[y, index, x, 0] = sights.b1[i]
             seen.ray[y, index, x, 1] = sights.b2[i]
             for axis in range(3):
                 seen.ray[y, index, x, 2 + axis] = sights.directions[i, axis]
+            seen.known[y, x] += 1
 
 
 @device

@@ -80,24 +80,22 @@ def _first(*cases: tuple[bool, str]) -> str | None:
 
 def skipped(scene: Scene, term: Term) -> str | None:
     """Why a term is zero everywhere, or None where it has to be rendered."""
-    surfaces = [thing.surface for thing in scene.objects]
-    diffuse = any(any(scene.diffuse_weight(surface)) for surface in surfaces)
-    glossy = any(scene.specular_weight(surface) for surface in surfaces)
+    black = not any(_has(scene, thing.surface, term) for thing in scene.objects)
     if term == "ambient":
         return _first(
             (not any(scene.ambient.color), "the ambient light is black"),
-            (not diffuse, "no surface has color (1 - gloss) > 0"),
+            (black, "no surface has color (1 - gloss) > 0"),
         )
     if term == "direct":
         return _first(
             (not scene.toggles.lighting, "lighting is off"),
             (not scene.has_lights, "the scene has no light"),
-            (not diffuse, "no surface has color (1 - gloss) > 0"),
+            (black, "no surface has color (1 - gloss) > 0"),
         )
     if term == "specular":
         return _first(
             (not scene.toggles.reflections, "reflections are off"),
-            (not glossy, "no surface has gloss > 0"),
+            (black, "no surface has gloss > 0"),
             (scene.max_bounces == 0, "max_bounces is 0"),
         )
     return _first(
@@ -215,8 +213,10 @@ def _names(names: list[str]) -> str:
     return ", ".join(names) or "none"
 
 
-def _black(scene: Scene) -> list[str]:
-    return [thing.name for thing in scene.objects if not any(scene.diffuse_weight(thing.surface))]
+def _black(scene: Scene, term: Term) -> list[str]:
+    # What a chain meets has both terms.
+    asked: Term = "direct" if term == "specular" else term
+    return [thing.name for thing in scene.objects if not _has(scene, thing.surface, asked)]
 
 
 def _open(scene: Scene) -> list[str]:
@@ -272,9 +272,10 @@ def _openness(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 
 def _diffuse(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    if variant.term == "background" or not _black(scene):
+    black = _black(scene, variant.term)
+    if variant.term == "background" or not black:
         return None
-    return f"color (1 - gloss) = 0: {_names(_black(scene))}"
+    return f"color (1 - gloss) = 0: {_names(black)}"
 
 
 def _horizon(scene: Scene, variant: Variant, chain: Chain) -> str | None:

@@ -167,6 +167,17 @@ def test_skips_change_no_byte_of_the_library(compiled):
             assert image.tobytes() == in_vain.tobytes(), (name, term)
 
 
+def test_mirrors_have_ambient_light_in_the_papers_shadow(compiled):
+    """There a surface has its whole colour, whatever its gloss: nothing of the term may be skipped."""
+    mirrors = attrs.evolve(with_material(BOX, gloss=1.0), shadows="paper")
+    mirrors = of_size(mirrors, compiled)
+    image, _ = drawn(mirrors, "ambient")
+    in_vain, _ = drawn(mirrors, "ambient", without=tuple(SKIPS))
+    assert image.tobytes() == in_vain.tobytes()
+    assert image.any()
+    assert not drawn(attrs.evolve(mirrors, shadows="physical"), "ambient")[0].any()
+
+
 def test_an_unknown_skip_is_refused():
     with pytest.raises(ValueError, match="without = 'haste': allowed are term, photons"):
         Engine(BOX, without=("haste",))
