@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.geometry.intersect import FaceRange, component
+from renderer.geometry.intersect import FaceRange, Ray, component
 from renderer.geometry.simd import bits, choose, fma, fms, load, magnitude, maximum, minimum, splat
 from renderer.jit import device
 from renderer.vector import Vec3
@@ -64,31 +64,22 @@ def _first(count: int) -> int:
 
 
 @device
-def any_hit_of_few(
-    few: Few, origin: Vec3, direction: Vec3, far: float, ignore: FaceRange, target: int
-) -> int:
+def any_hit_of_few(few: Few, ray: Ray, far: float, ignore: FaceRange, target: int) -> int:
     """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far: HIT, MISS or DOUBT."""
-    ox = (origin.x - few.center.x) * few.scale
-    oy = (origin.y - few.center.y) * few.scale
-    oz = (origin.z - few.center.z) * few.scale
-    r = 1.0 + max(abs(ox), max(abs(oy), abs(oz)))
+    origin = Vec3(
+        (ray.origin.x - few.center.x) * few.scale,
+        (ray.origin.y - few.center.y) * few.scale,
+        (ray.origin.z - few.center.z) * few.scale,
+    )
+    r = 1.0 + max(abs(origin.x), max(abs(origin.y), abs(origin.z)))
     if not r < _FAR_AWAY:
         return DOUBT
-    kz = 0
-    if abs(direction.y) > abs(component(direction, kz)):
-        kz = 1
-    if abs(direction.z) > abs(component(direction, kz)):
-        kz = 2
-    kx = (kz + 1) % 3
-    ky = (kx + 1) % 3
-    dz = component(direction, kz)
-    inverse = 1.0 / dz
-    local = Vec3(ox, oy, oz)
-    x0 = splat(np.float32(component(local, kx)), 16)
-    y0 = splat(np.float32(component(local, ky)), 16)
-    z0 = splat(np.float32(component(local, kz)), 16)
-    sx = splat(np.float32(-component(direction, kx) * inverse), 16)
-    sy = splat(np.float32(-component(direction, ky) * inverse), 16)
+    dz = component(ray.direction, ray.kz)
+    x0 = splat(np.float32(component(origin, ray.kx)), 16)
+    y0 = splat(np.float32(component(origin, ray.ky)), 16)
+    z0 = splat(np.float32(component(origin, ray.kz)), 16)
+    sx = splat(np.float32(-ray.sx), 16)
+    sy = splat(np.float32(-ray.sy), 16)
     # No triangle is deeper than R.
     reach = min(far * abs(dz) * few.scale, 2.0 * r)
     bound2 = 80.0 * _UNIT * r * r
@@ -103,9 +94,9 @@ def any_hit_of_few(
     below3 = splat(np.float32(-bound3), 16)
     above4 = splat(np.float32(bound3 + 5.0 * bound2 * reach), 16)
     below4 = splat(np.float32(-(bound3 + 5.0 * bound2 * reach)), 16)
-    kx *= LANES
-    ky *= LANES
-    kz *= LANES
+    kx = LANES * ray.kx
+    ky = LANES * ray.ky
+    kz = LANES * ray.kz
     counts = _first(few.count) & ~(_first(ignore.end) ^ _first(ignore.first))
     if target >= 0:
         counts &= ~(1 << target)

@@ -55,7 +55,7 @@ if _VECTORS:
     ) -> bool:
         """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far."""
         if len(tree.wide.few.corners) > 0:
-            found = any_hit_of_few(tree.wide.few, ray.origin, ray.direction, far, ignore, target)
+            found = any_hit_of_few(tree.wide.few, ray, far, ignore, target)
             if found != DOUBT:
                 return found == HIT
         return wide_traverse.any_hit(tree.wide, ray, far, ignore, target, stack)
@@ -84,14 +84,9 @@ if _VECTORS:
         """Write what `any_hit` gives for the first `count` rays of a group, where triangles are few."""
         doubts = 0
         for i in range(count):
-            found = any_hit_of_few(
-                tree.wide.few,
-                vec3(group.origins, i),
-                vec3(group.directions, i),
-                far,
-                FaceRange(group.first[i], group.end[i]),
-                group.target[i],
-            )
+            ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+            ignore = FaceRange(group.first[i], group.end[i])
+            found = any_hit_of_few(tree.wide.few, ray, far, ignore, group.target[i])
             group.found[i] = found == HIT
             if found == DOUBT:
                 doubts |= 1 << i

@@ -240,16 +240,14 @@ def test_few_triangles_leave_few_doubts(name):
     stack = np.empty(STACK_SIZE, np.int32)
     answers = []
     for i in range(count):
-        origin, direction = Vec3(*origins[i].tolist()), Vec3(*directions[i].tolist())
+        ray = make_ray(Vec3(*origins[i].tolist()), Vec3(*directions[i].tolist()))
         left, target = int(face[i]), int(rng.integers(-1, len(corners)))
         ignore = FaceRange(left - i % 2, left + 1)  # a face, or it and the one before
         far = float(rng.choice([0.2 * extent, np.inf]))
-        found = any_hit_of_few(tree.wide.few, origin, direction, far, ignore, target)
+        found = any_hit_of_few(tree.wide.few, ray, far, ignore, target)
         answers.append(found)
         if found != DOUBT:
-            exact = traverse.any_hit(
-                corners, one_leaf(corners), make_ray(origin, direction), far, ignore, target, stack
-            )
+            exact = traverse.any_hit(corners, one_leaf(corners), ray, far, ignore, target, stack)
             assert exact == (found == HIT)
     shares = np.bincount(answers, minlength=3) / count
     assert min(shares[HIT], shares[MISS]) > 0.02
@@ -269,7 +267,7 @@ def test_the_far_end_is_sure_or_left_in_doubt(name):
         if hit.face >= 0:
             for relative in (0.0, *(sign * 10.0**power for power in range(-16, 0) for sign in (-1.0, 1.0))):
                 far = hit.t * (1.0 + relative)
-                answers.append(any_hit_of_few(few, ray.origin, ray.direction, far, NOTHING, -1))
+                answers.append(any_hit_of_few(few, ray, far, NOTHING, -1))
                 assert answers[-1] == DOUBT or (answers[-1] == HIT) == (hit.t < far)
     assert min(np.bincount(answers, minlength=3)) > 0.02 * len(answers) > 0
 
