@@ -59,7 +59,7 @@ def test_one_sample_is_enough_where_nothing_varies():
 def test_a_constant_sky_takes_one_sample(compiled, monkeypatch):
     """A small plate amid the sky: four tiles of 36 see it, 20 have none of these beside them."""
     if not compiled:
-        pytest.skip("55 thousand rays of Python's")
+        pytest.skip("55 thousand rays, which plain Python traces one by one; compiled it runs")
     size = 6 * SIDE
     thing = plate("plate", (-0.1, 0.0, -0.1), (0.2, 0.0, 0.0), (0.0, 0.0, 0.2), Material((0.5, 0.5, 0.5)))
     camera = Camera((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), fov=90.0)
