@@ -79,6 +79,30 @@ print(camera_ray(from_scene(scene).camera, 1, 3, Sampler(root(0, 0), np.uint32(0
     assert run(copy, code) == before
 
 
+def test_functions_of_kernels_can_be_called_by_python_too(copy):
+    """`root` and `fold`, called by Python before and after a kernel has compiled `fold` and cached it: equal results.
+
+    A kernel's version has no entry for Python, and the cache does not know them apart: jumped to, it ends the process.
+    """
+    calls = """
+import numpy as np
+from renderer.rng import fold, root
+print(int(root(1, 2)), int(fold(np.uint64(3), 4)))
+"""
+    kernel = """
+import attrs
+from renderer import render
+from scenes.analytic import disc_over_plane
+scene = attrs.evolve(disc_over_plane(height=1.0, radius=1.0, sides=3), resolution=(1, 1))
+print(render(scene, "ambient", samples=1).mean.sum())
+"""
+    first = run(copy, kernel)
+    called = run(copy, calls)
+    assert len(set(called.split())) == 2
+    assert run(copy, calls + kernel).split("\n") == [called, first]
+    assert run(copy, kernel + calls).split("\n") == [first, called]
+
+
 def test_digest_changes_with_what_a_module_reaches_and_nothing_else(copy):
     """Editing `sky` changes the digests of `sky` and of terms that import it, not those of `camera` and `vector`."""
     code = "from renderer.jit import closure_digest as d; print(*(d(f'renderer.{m}') for m in {0!r}.split()))"
