@@ -6,8 +6,9 @@ Sweeps are prefixes: the sums after 1, 2, 4, ... samples of one run, so that a s
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Self
 
 import numpy as np
@@ -374,12 +375,25 @@ class Engine:
         driver = variant.driver
         assert driver is not None
         scratch = self._unless(cancel)
+        parts = deque(self._parts(work))
 
-        def draw(part: np.ndarray) -> None:
-            driver(self.arrays, *inputs, key, part, out, scratch()._replace(seen=seen))
+        def draw() -> None:
+            while True:
+                try:
+                    part = parts.popleft()
+                except IndexError:
+                    return
+                driver(self.arrays, *inputs, key, part, out, scratch()._replace(seen=seen))
 
-        for _ in self.pool.map(draw, self._parts(work)):
-            pass
+        # The calling thread is one of them: another takes 0.1 ms to wake.
+        others = [self.pool.submit(draw) for _ in range(min(self._threads, len(parts)) - 1)]
+        try:
+            draw()
+        finally:
+            parts.clear()
+            wait(others)
+        for other in others:
+            other.result()
 
     def _sights(self, key: np.uint64, samples: int) -> Seen:
         """Room for what the camera rays of a replicate meet; what another one has left there is forgotten."""
