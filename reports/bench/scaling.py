@@ -72,7 +72,8 @@ AXES = {
         "photon",
         lambda load: load.photons or 0,
     ),
-    "threads": Axis({1: _AMBIENT}, "sample", _samples),
+    # Of a second: until a scheduler moves one of two new threads away from the other, 30 ms may pass (measured).
+    "threads": Axis({1: attrs.evolve(_AMBIENT, samples=1024)}, "sample", _samples),
 }
 
 

@@ -1,7 +1,7 @@
 """Seconds to equal error of one term: `speed-up(e) = t_Mitsuba(e) / t_ours(e)`, e = RMSE over pixels and channels.
 
-Both sides render the same integral with the same camera on the same number of threads, in alternating runs: ours once
-(the prefixes of one run are its whole curve), then each setting of Mitsuba's that a pilot run found within reach of its
+Both sides render the same integral with the same camera on the same number of threads, each number of samples in a
+render of its own, in alternating runs: ours, then each setting of Mitsuba's that a pilot run found within reach of its
 best. RMSE is pooled over the runs; a speed-up is the median over runs of the ratio of interpolated seconds. At each
 target Mitsuba has the setting that is its fastest there.
 
@@ -23,6 +23,7 @@ import numpy as np
 import reference
 from reference.backend import import_mitsuba
 from renderer import Engine, Variant, find
+from renderer.plan import powers_of_two
 from renderer.terms import Chain
 from reports.bench.common import BACKEND, known, machine, positive, spread
 from reports.bench.curves import pooled, seconds_to, targets
@@ -259,9 +260,10 @@ def _ours(
 ) -> Curve:
     """One run of ours; its finest image goes to `images`."""
     samples, square, seconds = [], [], []
-    for number, image, spent in engine.prefixes(
-        case.variant, samples=count, seed=_SEED, replicate=run, chain=case.chain
-    ):
+    for number in powers_of_two(count):
+        ((_, image, spent),) = engine.prefixes(
+            case.variant, samples=number, seed=_SEED, replicate=run, chain=case.chain, counts=(number,)
+        )
         samples.append(number)
         square.append(_mean_square(image, truth))
         seconds.append(spent)
