@@ -73,9 +73,9 @@ class Emitters(NamedTuple):
     intensity : (P, 3).
     face : (E,), face indices.
     area : (E,), area of each face.
-    cdf : (P + E,), running sum of the picking probabilities; the last entry is 1. Empty without lights.
+    cdf : (P + E + 1,), running sum of the picking probabilities, from 0 to 1; 0 alone without lights.
     axis, cosine : (P, 3), (P,), the cone around the scene of each point light, see `renderer.aim`.
-    aimed : (P + E,), the same sum as `cdf`, a point light's power being that within its cone.
+    aimed : (P + E + 1,), the same sum as `cdf`, a point light's power being that within its cone.
     share : that power over all power.
     strength : (P + E,), mean channel of the intensity of a point, of radiance times area of a face.
     """
@@ -203,7 +203,7 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
         scene.max_bounces,
         scene.rings,
         0.0 if "roulette" in without else FAINT,
-        "lights" not in without and FEW_EMITTERS < len(emitters.cdf) <= MANY_EMITTERS,
+        "lights" not in without and FEW_EMITTERS < len(emitters.strength) <= MANY_EMITTERS,
         light_samples(scene, without),
         scene.irradiance_factor,
         scene.ignore == "object",
@@ -288,17 +288,16 @@ def emitters_of(scene: Scene) -> Emitters:
     sent = math.pi * area * radiance.mean(axis=1)
     powers = [np.append(angle * intensity.mean(axis=1), sent) for angle in (4.0 * math.pi, solid_angle)]
     cdf, aimed = map(_running_sum, powers)
-    share = float(powers[1].sum() / powers[0].sum()) if len(cdf) else 1.0
+    share = float(powers[1].sum() / powers[0].sum()) if len(sent) + len(points) else 1.0
     strength = np.append(intensity.mean(axis=1), area * radiance.mean(axis=1))
     return Emitters(position, intensity, faces, area, cdf, axis, cosine, aimed, share, strength)
 
 
 def _running_sum(power: np.ndarray) -> np.ndarray:
-    """Of the probabilities that go as `power`; the last entry is 1."""
-    cdf = np.cumsum(power) / power.sum() if len(power) else power
-    if len(cdf):
-        cdf[-1] = 1.0
-    return cdf
+    """Of the probabilities that go as `power`, from 0 to 1."""
+    if not len(power):
+        return np.zeros(1)
+    return np.concatenate([[0.0], np.cumsum(power[:-1]) / power.sum(), [1.0]])
 
 
 def _shadow_rule(scene: Scene) -> ShadowRule:

@@ -233,7 +233,7 @@ def emit(
     pool : the chunks run here; their order, hence the map, does not depend on the number of threads.
     scratch : gives the calling thread its memory.
     """
-    if len(scene.emitters.cdf) == 0:
+    if len(scene.emitters.strength) == 0:
         return empty(radius)
     emitted = max(1, math.ceil(count * scene.emitters.share)) if rule.aimed else count
     photons_key = stream(stream(key, _STREAM), index)

@@ -119,7 +119,7 @@ def _aim(scene: SceneArrays, key: np.uint64, y: int, count: int, scratch: Scratc
 
     In a loop of its own, which is vectorised. A point light alone leaves nothing to draw.
     """
-    if len(scene.emitters.cdf) == len(scene.emitters.point) == 1:
+    if len(scene.emitters.strength) == len(scene.emitters.point) == 1:
         return
     for k in range(scene.light_samples):
         for i in range(count):
