@@ -14,7 +14,7 @@ from renderer.rng import fold
 from renderer.scratch import Scratch
 from renderer.sobol import Sampler
 from renderer.surface import closest, hit_of, occlude_group, put_hit, put_ray, trace, trace_group
-from renderer.vector import Vec3, length, put, sub, vec3
+from renderer.vector import Vec3, column, length, put, put_column, sub, vec3
 
 # Samples of a pixel that have a camera ray each: edges need some before the rest shares. With 8 the same error took 1.0
 # to 1.2 times as long (ambient, three scenes, 8 to 256 samples).
@@ -136,15 +136,15 @@ def _look(scene: SceneArrays, key: np.uint64, y: int, begin: int, count: int, sc
         scratch.u[i], scratch.v[i] = point_in_pixel(camera, sampler_of(scene, key, y, i, scratch))
     for i in range(count):
         direction = direction_through(camera, scratch.x[i] + scratch.u[i], y + scratch.v[i])
-        put(sights.directions, i, direction)
+        put_column(sights.directions, i, direction)
     for i in range(count):
-        put_ray(sights, i, camera.position, vec3(sights.directions, i))
+        put_ray(sights, i, camera.position, column(sights.directions, i))
     if camera.rule == JITTER or not scene.skips.pixel:
         trace_group(scene, sights, count, scratch)
     else:
         for i in range(count):
             if scratch.index[i] == begin:
-                ray = make_ray(camera.position, vec3(sights.directions, i))
+                ray = make_ray(camera.position, column(sights.directions, i))
                 put_hit(sights, i, closest(scene, ray, math.inf, -1, scratch))
             else:
                 # Before sight 0 comes the last one of the 8 before.
@@ -157,7 +157,7 @@ def _look(scene: SceneArrays, key: np.uint64, y: int, begin: int, count: int, sc
             seen.ray[y, index, x, 0] = sights.b1[i]
             seen.ray[y, index, x, 1] = sights.b2[i]
             for axis in range(3):
-                seen.ray[y, index, x, 2 + axis] = sights.directions[i, axis]
+                seen.ray[y, index, x, 2 + axis] = sights.directions[axis, i]
             seen.known[y, x] += 1
 
 

@@ -27,7 +27,7 @@ from renderer.arrays import SceneArrays
 from renderer.microfacet import pdf_lobe
 from renderer.scratch import new_scratch
 from renderer.terms import VARIANTS, ambient, direct, specular
-from renderer.vector import dot, vec3
+from renderer.vector import column, dot, vec3
 
 Event = dict[str, Any]
 
@@ -86,16 +86,9 @@ class Recorder:
         pdf = {ambient.COSINE: local.z / math.pi, ambient.PAPER_LOOP: None}.get(given.rule, _UNIFORM)
         self.note("ambient direction", local=local, pdf=pdf, weight=weight)
 
-    def sample_ambient(self, given: Any, sampled: Any, caller: FrameType) -> None:
-        """Its radiance if nothing hides it."""
-        radiance, direction = sampled
-        self.note("ambient light", direction=direction, unhidden=radiance)
-
     def ambient_light(self, given: Any, found: Any, caller: FrameType) -> None:
-        """The radiance of a surface for which no ray has to ask."""
-        radiance, asks = found
-        if not asks:
-            self.note("ambient light", unhidden=radiance)
+        """The radiance of a surface that nothing hides."""
+        self.note("ambient light", unhidden=found[0])
 
     def occluded(self, given: Any, hidden: bool, caller: FrameType) -> None:
         """One occlusion ray."""
@@ -105,7 +98,7 @@ class Recorder:
         """The occlusion ray of the one sample in the group."""
         for i in range(given.count):
             hidden = bool(given.group.found[i])
-            self.note("occlusion ray", direction=vec3(given.group.directions, i), hidden=hidden)
+            self.note("occlusion ray", direction=column(given.group.directions, i), hidden=hidden)
 
     def pick(self, given: Any, picked: Any, caller: FrameType) -> None:
         """Which light."""
@@ -120,7 +113,7 @@ class Recorder:
         irradiance, direction, target = sampled
         emitters, probability = self.scene.emitters, self._probability
         self._probability = 1.0
-        if len(emitters.cdf) == 0:
+        if len(emitters.strength) == 0:
             return
         pdf = None
         if target >= 0:
@@ -219,7 +212,6 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     surface.occluded,
     surface.occlude_group,
     ambient.sample_hemisphere,
-    ambient.sample_ambient,
     ambient.ambient_light,
     lights.pick,
     lights._pick_by_light,

@@ -6,10 +6,12 @@ Counts are summed over the tiles of a run. They prove a skip: what a scene does 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from renderer.arrays import LIGHT_SAMPLES
 from renderer.geometry.bvh import STACK_SIZE
 from renderer.geometry.packets import SIZE, Group, new_group
+from renderer.memory import aligned, on_own_lines
 
 # Rays that ask for the nearest hit, rays that ask for any hit, photons traced, estimates of density by photons.
 COUNTERS = ("rays", "occlusion rays", "photons", "density estimates")
@@ -77,22 +79,26 @@ class Scratch(NamedTuple):
     seen: Seen
 
 
+def _zeros(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> np.ndarray:
+    return on_own_lines(np.zeros(shape, dtype))
+
+
 def new_scratch() -> Scratch:
     """Make scratch for one thread, with nothing done yet."""
     return Scratch(
-        np.empty(STACK_SIZE, np.int32),
-        np.zeros(len(COUNTERS), np.int64),
+        aligned(STACK_SIZE, np.int32),
+        _zeros(len(COUNTERS), np.int64),
         new_group(),
-        np.zeros(SIZE, np.int64),
-        np.zeros(SIZE, np.int64),
-        np.zeros(SIZE, np.int64),
-        np.zeros((SIZE, 3)),
-        np.zeros((SIZE, 3)),
+        _zeros(SIZE, np.int64),
+        _zeros(SIZE, np.int64),
+        _zeros(SIZE, np.int64),
+        _zeros((SIZE, 3)),
+        _zeros((SIZE, 3)),
         new_group(),
-        np.zeros(SIZE, np.int64),
-        np.zeros(SIZE, np.uint64),
-        np.zeros(SIZE, np.uint32),
-        np.zeros(SIZE * LIGHT_SAMPLES),
-        np.zeros(SIZE * LIGHT_SAMPLES),
+        _zeros(SIZE, np.int64),
+        _zeros(SIZE, np.uint64),
+        _zeros(SIZE, np.uint32),
+        _zeros(SIZE * LIGHT_SAMPLES),
+        _zeros(SIZE * LIGHT_SAMPLES),
         NOTHING_SEEN,
     )

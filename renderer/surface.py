@@ -13,7 +13,7 @@ from renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
 from renderer.geometry.packets import Group, hit_of, put_hit
 from renderer.jit import device
 from renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
-from renderer.vector import Vec3, dot, entry, negate, normalize, put, sub, vec3
+from renderer.vector import Vec3, column, dot, entry, negate, normalize, put_column, sub, vec3
 
 
 class Surface(NamedTuple):
@@ -137,8 +137,8 @@ def occluded(
 @device
 def put_ray(group: Group, i: int, origin: Vec3, direction: Vec3) -> None:
     """Make ray i of a group one that leaves no face."""
-    put(group.origins, i, origin)
-    put(group.directions, i, direction)
+    put_column(group.origins, i, origin)
+    put_column(group.directions, i, direction)
     group.first[i] = -1
     group.end[i] = 0
     group.target[i] = -1
@@ -167,7 +167,7 @@ def trace_group(scene: SceneArrays, group: Group, count: int, scratch: Scratch) 
         )
         return
     for i in range(count):
-        ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+        ray = make_ray(column(group.origins, i), column(group.directions, i))
         ignore = FaceRange(group.first[i], group.end[i])
         put_hit(group, i, paper.closest_hit(geometry.corners, ray, math.inf, ignore))
 
@@ -175,7 +175,7 @@ def trace_group(scene: SceneArrays, group: Group, count: int, scratch: Scratch) 
 @device
 def surface_of(scene: SceneArrays, group: Group, i: int) -> Surface:
     """What ray i of a group has met."""
-    return _surface(scene, hit_of(group, i), vec3(group.origins, i), vec3(group.directions, i))
+    return _surface(scene, hit_of(group, i), column(group.origins, i), column(group.directions, i))
 
 
 @device
@@ -189,6 +189,6 @@ def occlude_group(
         rays.any_hits_of_group(geometry.corners, geometry.tree, group, count, far, coherent, scratch.stack)
         return
     for i in range(count):
-        ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+        ray = make_ray(column(group.origins, i), column(group.directions, i))
         ignore = FaceRange(group.first[i], group.end[i])
         group.found[i] = paper.any_hit(geometry.corners, ray, far, ignore, group.target[i])

@@ -39,6 +39,20 @@ def put(array: np.ndarray, index: int, v: Vec3) -> None:
 
 
 @device
+def column(array: np.ndarray, index: int) -> Vec3:
+    """Column `index` of a (3, N) array: loops over it are vectorised, as those over rows are not."""
+    return Vec3(array[0, index], array[1, index], array[2, index])
+
+
+@device
+def put_column(array: np.ndarray, index: int, v: Vec3) -> None:
+    """Write column `index` of a (3, N) array."""
+    array[0, index] = v.x
+    array[1, index] = v.y
+    array[2, index] = v.z
+
+
+@device
 def entry(array: np.ndarray, index: int) -> int:
     """Entry of an int32 array in 64 bits: tuples that hold integers of both widths do not unify."""
     return np.int64(array[index])  # type: ignore[return-value]

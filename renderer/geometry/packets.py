@@ -24,7 +24,6 @@ from renderer.geometry.simd import (
     as_int,
     bits,
     choose,
-    columns,
     compress,
     count_bits,
     extract,
@@ -40,6 +39,7 @@ from renderer.geometry.simd import (
     minimum,
     narrow,
     numbers,
+    rows,
     smallest,
     splat,
     store,
@@ -62,7 +62,8 @@ from renderer.geometry.wide_traverse import (
     triangles_of,
 )
 from renderer.jit import device
-from renderer.vector import entry, vec3
+from renderer.memory import on_own_lines
+from renderer.vector import column, entry
 
 SIZE = 8
 # Groups that are traced as bundles after a packet that did not pay, or was none; twice as many each time.
@@ -76,12 +77,13 @@ class Group(NamedTuple):
 
     Attributes
     ----------
-    origins, directions : (8, 3) float64 each.
+    origins, directions : (3, 8) float64 each.
     first, end : (8,) int32, the faces first <= face < end that each ray passes because it leaves them.
     target : (8,) int32, a face that hides nothing (-1: none).
     t, b1, b2, face : (8,) float64, the last int32: the nearest hits, as `Hit` has them.
     found : (8,) bool, whether anything is hit.
     shears : (8, 8) float64 scratch.
+    numbers, axes : (10, 8) float32 and (3, 8) int32 scratch of `few.put_queries`.
     patience : (2, 2) int64, for nearest and for any hits: how many groups more are traced as bundles at once, and how
         many after the next packet that does not pay.
     """
@@ -97,14 +99,16 @@ class Group(NamedTuple):
     face: np.ndarray
     found: np.ndarray
     shears: np.ndarray
+    numbers: np.ndarray
+    axes: np.ndarray
     patience: np.ndarray
 
 
 def new_group() -> Group:
     """Make a group whose rays leave no face and aim at none."""
-    return Group(
-        np.zeros((SIZE, 3)),
-        np.ones((SIZE, 3)),
+    arrays = (
+        np.zeros((3, SIZE)),
+        np.ones((3, SIZE)),
         np.full(SIZE, -1, np.int32),
         np.zeros(SIZE, np.int32),
         np.full(SIZE, -1, np.int32),
@@ -114,8 +118,11 @@ def new_group() -> Group:
         np.full(SIZE, -1, np.int32),
         np.zeros(SIZE, np.bool_),
         np.zeros((SIZE, 8)),
+        np.zeros((10, SIZE), np.float32),
+        np.zeros((3, SIZE), np.int32),
         np.array([[0, PATIENCE], [0, PATIENCE]]),
     )
+    return Group(*map(on_own_lines, arrays))
 
 
 @device
@@ -175,8 +182,8 @@ class Frustum(NamedTuple):
 @device
 def make_packet(wide: Wide, group: Group) -> Packet:
     """Make a packet of a group of 8 rays."""
-    o = columns(group.origins, 0)
-    d = columns(group.directions, 0)
+    o = rows(group.origins)
+    d = rows(group.directions)
     x = magnitude(d[0])
     y = magnitude(d[1])
     z = magnitude(d[2])
@@ -480,7 +487,7 @@ class Bundle(NamedTuple):
 @device
 def _write_shear(group: Group, i: int) -> None:
     """Keep origin and shear of ray i along its own axes, and these axes: divided for once, where a leaf asks first."""
-    ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+    ray = make_ray(column(group.origins, i), column(group.directions, i))
     shears = group.shears
     shears[i, 0] = component(ray.origin, ray.kx)
     shears[i, 1] = component(ray.origin, ray.ky)
@@ -516,8 +523,8 @@ def _axis(wide: Wide, origin: int, direction: int, center: float, largest: int, 
 @device
 def make_bundle(wide: Wide, group: Group, far: float) -> Bundle:
     """Make a bundle of rays of any directions."""
-    o = columns(group.origins, 0)
-    d = columns(group.directions, 0)
+    o = rows(group.origins)
+    d = rows(group.directions)
     largest = maximum(magnitude(d[0]), maximum(magnitude(d[1]), magnitude(d[2])))
     distance = maximum(
         magnitude(o[0] - splat(wide.center.x, 8)),
@@ -630,7 +637,7 @@ def closest_hits_of_bundle(wide: Wide, group: Group, count: int, far: float, sta
     face = group.face
     bundle = make_bundle(wide, group, far)
     written = 0
-    d = columns(group.directions, 0)
+    d = rows(group.directions)
     largest = maximum(magnitude(d[0]), maximum(magnitude(d[1]), magnitude(d[2])))
     speed = largest * splat(wide.scale * ROUND_UP, 8)
     reach = bundle.reach

@@ -9,11 +9,11 @@ import numpy as np
 
 from renderer.geometry import packets, simd, traverse, wide_traverse
 from renderer.geometry.bvh import STACK_SIZE, Tree
-from renderer.geometry.few import DOUBT, HIT, any_hit_of_few
+from renderer.geometry.few import DOUBT, HIT, answer, any_hit_of_few, put_queries, query_of
 from renderer.geometry.intersect import NOTHING, FaceRange, Hit, Ray, make_ray
 from renderer.geometry.packets import Group, put_hit
 from renderer.jit import device, kernel
-from renderer.vector import vec3
+from renderer.vector import column, vec3
 
 _VECTORS = simd.available()
 _NEAREST, _ANY = range(2)
@@ -83,17 +83,18 @@ if _VECTORS:
     def _any_hits_of_few(tree: Tree, group: Group, count: int, far: float, stack: np.ndarray) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group, where triangles are few."""
         doubts = 0
+        put_queries(tree.wide.few, group.origins, group.directions, far, group.numbers, group.axes)
         for i in range(count):
-            ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
             ignore = FaceRange(group.first[i], group.end[i])
-            found = any_hit_of_few(tree.wide.few, ray, far, ignore, group.target[i])
+            asked = query_of(group.numbers, group.axes, i)
+            found = answer(tree.wide.few, asked, ignore, group.target[i])
             group.found[i] = found == HIT
             if found == DOUBT:
                 doubts |= 1 << i
         # In a loop of its own: what a descent needs would not leave the registers to the loop above.
         for i in range(count):
             if (doubts >> i) & 1 != 0:
-                ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+                ray = make_ray(column(group.origins, i), column(group.directions, i))
                 ignore = FaceRange(group.first[i], group.end[i])
                 group.found[i] = wide_traverse.any_hit(tree.wide, ray, far, ignore, group.target[i], stack)
 
@@ -108,15 +109,15 @@ if _VECTORS:
         stack: np.ndarray,
     ) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
+        if len(tree.wide.few.corners) > 0:
+            _any_hits_of_few(tree, group, count, far, stack)
+            return
         if coherent and count == packets.SIZE and _hopeful(group, _ANY):
             packet = packets.make_packet(tree.wide, group)
             if packet.coherent and packets.any_hits_of_packet(tree.wide, packet, group, far, stack):
                 group.patience[_ANY, 1] = packets.PATIENCE
                 return
             _give_up(group, _ANY)
-        if len(tree.wide.few.corners) > 0:
-            _any_hits_of_few(tree, group, count, far, stack)
-            return
         packets.any_hits_of_bundle(tree.wide, group, count, far, stack)
 
 else:
@@ -134,7 +135,7 @@ else:
     ) -> None:
         """Write what `closest_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
         for i in range(count):
-            ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+            ray = make_ray(column(group.origins, i), column(group.directions, i))
             ignore = FaceRange(group.first[i], group.end[i])
             put_hit(group, i, traverse.closest_hit(corners, tree, ray, far, ignore, stack))
 
@@ -150,7 +151,7 @@ else:
     ) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
         for i in range(count):
-            ray = make_ray(vec3(group.origins, i), vec3(group.directions, i))
+            ray = make_ray(column(group.origins, i), column(group.directions, i))
             ignore = FaceRange(group.first[i], group.end[i])
             group.found[i] = traverse.any_hit(corners, tree, ray, far, ignore, group.target[i], stack)
 
@@ -159,8 +160,8 @@ else:
 def _load_group(origins: np.ndarray, directions: np.ndarray, row: int, count: int, group: Group) -> None:
     for i in range(count):
         for axis in range(3):
-            group.origins[i, axis] = origins[row + i, axis]
-            group.directions[i, axis] = directions[row + i, axis]
+            group.origins[axis, i] = origins[row + i, axis]
+            group.directions[axis, i] = directions[row + i, axis]
 
 
 @kernel

@@ -21,6 +21,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic as _intrinsic
 from numba.extending import lower_builtin, register_model
 
+from renderer.jit import device
+
 # pyright believes that an intrinsic is called with its typing context, and that `infer_global` may be None.
 intrinsic = cast(Any, _intrinsic)
 _typed = cast(Any, infer_global)
@@ -198,35 +200,10 @@ def numbers(typingctx: Any, lanes: Any) -> Any:
     )
 
 
-@intrinsic
-def columns(typingctx: Any, array: Any, row: Any) -> Any:
-    """Rows row ... row + 7 of a C-contiguous (N, 3) float64 array as three vectors of 8."""
-    if not (isinstance(array, types.Array) and array.layout == "C" and array.ndim == 2):
-        return None
-    vector = Vector(array.dtype, 8)
-    result = types.UniTuple(vector, 3)
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        place = builder.gep(data, [builder.mul(args[1], ir.Constant(args[1].type, 3))], inbounds=True)
-        whole = ir.VectorType(_ELEMENTS[array.dtype], 24)
-        loaded = builder.load(builder.bitcast(place, whole.as_pointer()))
-        loaded.align = np.dtype(str(array.dtype)).itemsize
-        lanes = ir.VectorType(ir.IntType(32), 8)
-        return context.make_tuple(
-            builder,
-            result,
-            [
-                builder.shuffle_vector(
-                    loaded,
-                    ir.Constant(whole, ir.Undefined),
-                    ir.Constant(lanes, [3 * i + axis for i in range(8)]),
-                )
-                for axis in range(3)
-            ],
-        )
-
-    return result(array, types.intp), codegen
+@device
+def rows(array: np.ndarray) -> tuple:
+    """The rows of a C-contiguous (3, 8) array."""
+    return load(array, 0, 8), load(array, 8, 8), load(array, 16, 8)
 
 
 @intrinsic

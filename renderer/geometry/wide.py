@@ -19,6 +19,7 @@ import numpy as np
 from renderer.geometry.few import Few, few_of
 from renderer.geometry.intersect import component
 from renderer.jit import kernel
+from renderer.memory import aligned
 from renderer.vector import Vec3
 
 WIDTH = 8
@@ -32,7 +33,6 @@ FACES = 72
 # A box that no ray enters: the far plane lies before the near one, whatever the signs of the direction.
 _NOWHERE = np.float32(1e30)
 _AS_LEAF = 9
-_CACHE_LINE = 64
 MAX_DEPTH = 80
 
 
@@ -209,14 +209,6 @@ def _write(
             blocks += 1
 
 
-def _aligned(rows: int, columns: int, dtype: type) -> np.ndarray:
-    """Array (rows, columns) that begins at a cache line."""
-    size = rows * columns * np.dtype(dtype).itemsize
-    memory = np.empty(size + _CACHE_LINE, np.uint8)
-    skip = -memory.ctypes.data % _CACHE_LINE
-    return memory[skip : skip + size].view(dtype).reshape(rows, columns)
-
-
 def collapse(
     corners: np.ndarray,
     bounds: np.ndarray,
@@ -237,8 +229,8 @@ def collapse(
     faces = np.empty(len(right), np.int32)
     cut = np.empty((len(right), WIDTH + 1), np.int8)
     used, blocks = _plan(bounds, right, count, scale, faces, cut)
-    nodes = _aligned(max(used, 1), NODE, np.float32)
-    leaves = _aligned(blocks, LEAF, np.float32 if exact else np.float64)
+    nodes = aligned((max(used, 1), NODE), np.float32)
+    leaves = aligned((blocks, LEAF), np.float32 if exact else np.float64)
     _write(
         corners,
         bounds,

@@ -26,7 +26,7 @@ from renderer.scratch import Scratch
 from renderer.sobol import Sampler, sample_2d
 from renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
 from renderer.terms.variant import Chain, Variant
-from renderer.vector import Vec3, frame, is_black, mul, put, scale, to_world, vec3
+from renderer.vector import Vec3, column, frame, is_black, mul, put, put_column, scale, to_world, vec3
 from renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
 from scenes.limits import Limit
 from scenes.model import Scene
@@ -75,14 +75,11 @@ def ambient_light(scene: SceneArrays, rule: int, surface: Surface, dark: bool) -
 
 
 @device
-def sample_ambient(
-    scene: SceneArrays, rule: int, radiance: Vec3, normal: Vec3, u: float, v: float
-) -> tuple[Vec3, Vec3]:
-    """What one sample adds of `ambient_light`'s radiance if nothing hides it, and its direction."""
+def ambient_direction(scene: SceneArrays, rule: int, normal: Vec3, u: float, v: float) -> tuple[Vec3, float]:
+    """Direction of one sample, and its weight; where nothing can hide the light all weigh 1."""
+    rule = COSINE if ambient_reach(scene, rule) == 0.0 else rule
     local, weight = sample_hemisphere(rule, scene.rings, u, v)
-    if ambient_reach(scene, rule) == 0.0:
-        weight = 1.0
-    return scale(radiance, weight), to_world(frame(normal), local)
+    return to_world(frame(normal), local), weight
 
 
 @device
@@ -94,33 +91,30 @@ def ambient_radiance(
     if not asks:
         return radiance
     u, v = sample_2d(sampler, OCCLUSION)
-    radiance, direction = sample_ambient(scene, rule, radiance, surface.normal, u, v)
+    direction, weight = ambient_direction(scene, rule, surface.normal, u, v)
     if occluded(scene, surface, direction, ambient_reach(scene, rule), -1, scratch):
         return Vec3(0.0, 0.0, 0.0)
-    return radiance
+    return scale(radiance, weight)
 
 
 @device
 def _aim(scene: SceneArrays, rule: int, asking: int, scratch: Scratch) -> None:
-    """Draw the directions of the first `asking` occlusion rays, which are their normals before.
+    """Draw the directions of the first `asking` occlusion rays, which are their normals before, and weigh their light.
 
-    In loops of their own: what hashes and maps eight points is vectorised.
+    Loops of their own: those that draw and map eight points are vectorised.
     """
     for k in range(asking):
         sampler = Sampler(scratch.key[k], scratch.sample[k])
         scratch.u[k], scratch.v[k] = sample_2d(sampler, OCCLUSION)
+    directions, weights = scratch.rays.directions, scratch.u
+    for k in range(asking):
+        direction, weights[k] = ambient_direction(
+            scene, rule, column(directions, k), scratch.u[k], scratch.v[k]
+        )
+        put_column(directions, k, direction)
     for k in range(asking):
         lane = scratch.lane[k]
-        radiance, direction = sample_ambient(
-            scene,
-            rule,
-            vec3(scratch.radiance, lane),
-            vec3(scratch.rays.directions, k),
-            scratch.u[k],
-            scratch.v[k],
-        )
-        put(scratch.radiance, lane, radiance)
-        put(scratch.rays.directions, k, direction)
+        put(scratch.radiance, lane, scale(vec3(scratch.radiance, lane), weights[k]))
 
 
 @kernel

@@ -13,7 +13,7 @@ from renderer.scratch import Scratch
 from renderer.sky import sky_radiance
 from renderer.surface import surface_of
 from renderer.terms.variant import Variant
-from renderer.vector import vec3
+from renderer.vector import column, vec3
 from scenes.limits import Limit
 
 
@@ -27,8 +27,8 @@ def _seen(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
                     if surface.face < 0:
-                        origin = vec3(scratch.sights.origins, i)
-                        direction = vec3(scratch.sights.directions, i)
+                        origin = column(scratch.sights.origins, i)
+                        direction = column(scratch.sights.directions, i)
                         accumulate(out, y, scratch.x[i], sky_radiance(scene.sky, origin, direction))
                     elif scene.draw_lights and surface.side > 0.0:
                         accumulate(out, y, scratch.x[i], vec3(scene.materials.emission, surface.object))

@@ -17,7 +17,7 @@ from renderer.geometry.bvh import STACK_SIZE, Tree
 from renderer.geometry.intersect import FaceRange, make_ray
 from renderer.geometry.packets import SIZE, Group, new_group
 from renderer.jit import kernel
-from renderer.vector import put, vec3
+from renderer.vector import put_column, vec3
 
 
 class Found(NamedTuple):
@@ -92,8 +92,8 @@ def _groups(
     for start in range(0, len(origins), SIZE):
         count = min(SIZE, len(origins) - start)
         for i in range(count):
-            put(group.origins, i, vec3(origins, start + i))
-            put(group.directions, i, vec3(directions, start + i))
+            put_column(group.origins, i, vec3(origins, start + i))
+            put_column(group.directions, i, vec3(directions, start + i))
             group.first[i] = leaving[start + i]
             group.end[i] = leaving[start + i] + 1
         rays.closest_hits_of_group(corners, tree, group, count, math.inf, True, stack)
