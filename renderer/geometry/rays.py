@@ -109,15 +109,15 @@ if _VECTORS:
         stack: np.ndarray,
     ) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
-        if len(tree.wide.few.corners) > 0:
-            _any_hits_of_few(tree, group, count, far, stack)
-            return
         if coherent and count == packets.SIZE and _hopeful(group, _ANY):
             packet = packets.make_packet(tree.wide, group)
             if packet.coherent and packets.any_hits_of_packet(tree.wide, packet, group, far, stack):
                 group.patience[_ANY, 1] = packets.PATIENCE
                 return
             _give_up(group, _ANY)
+        if len(tree.wide.few.corners) > 0:
+            _any_hits_of_few(tree, group, count, far, stack)
+            return
         packets.any_hits_of_bundle(tree.wide, group, count, far, stack)
 
 else:
