@@ -41,15 +41,9 @@ def item_of(work: np.ndarray, item: int) -> tuple[Tile, int, int, int]:
 
 
 @device
-def pixel_key(scene: SceneArrays, key: np.uint64, y: int, x: int) -> np.uint64:
-    """The key of all randomness of a pixel."""
-    return fold(key, y * scene.camera.width + x)
-
-
-@device
-def sampler_of(scene: SceneArrays, key: np.uint64, y: int, i: int, scratch: Scratch) -> Sampler:
-    """Randomness of sight i of row y."""
-    return Sampler(pixel_key(scene, key, y, scratch.x[i]), np.uint32(scratch.index[i]))
+def sampler_of(i: int, scratch: Scratch) -> Sampler:
+    """Randomness of sight i."""
+    return Sampler(scratch.pixel[i], np.uint32(scratch.index[i]))
 
 
 @device
@@ -110,12 +104,16 @@ def see(
     count = min(SIZE, sights_of_row(tile, first, last, split) - start)
     x = tile.x0 + start // (end - begin)
     index = begin + start % (end - begin)
+    # The key of all randomness of a pixel.
+    pixel = fold(key, y * scene.camera.width + x)
     known = scratch.seen.face.shape[1] > 0
     for i in range(count):
         if index == end:
             x += 1
             index = begin
+            pixel = fold(key, y * scene.camera.width + x)
         scratch.x[i] = x
+        scratch.pixel[i] = pixel
         scratch.index[i] = index
         known = known and index < scratch.seen.known[y, x]
         index += 1
@@ -123,17 +121,17 @@ def see(
         for i in range(count):
             _recall(scene, y, i, scratch)
     else:
-        _look(scene, key, y, begin, count, scratch)
+        _look(scene, y, begin, count, scratch)
     return count
 
 
 @device
-def _look(scene: SceneArrays, key: np.uint64, y: int, begin: int, count: int, scratch: Scratch) -> None:
+def _look(scene: SceneArrays, y: int, begin: int, count: int, scratch: Scratch) -> None:
     """Trace the first `count` sights of row y, `begin` being the first of a pixel, and keep those there is room for."""
     sights, camera = scratch.sights, scene.camera
     # Loops of their own: what hashes and maps eight points is vectorised.
     for i in range(count):
-        scratch.u[i], scratch.v[i] = point_in_pixel(camera, sampler_of(scene, key, y, i, scratch))
+        scratch.u[i], scratch.v[i] = point_in_pixel(camera, sampler_of(i, scratch))
     for i in range(count):
         direction = direction_through(camera, scratch.x[i] + scratch.u[i], y + scratch.v[i])
         put_column(sights.directions, i, direction)

@@ -52,7 +52,8 @@ class Scratch(NamedTuple):
     stack : int32, STACK_SIZE.
     counts : int64, one of each of COUNTERS, only ever added to.
     sights : the rays through a pixel and what they see.
-    x, index : (8,) int64 each, the pixel's column and the number within the pixel of each sight.
+    x, pixel, index : (8,) each, int64, uint64 and int64: of each sight the pixel's column, the key of the pixel's
+        randomness, and its number within the pixel.
     column : (8,) int64, the pixel's column of each sample that waits for its occlusion ray.
     radiance, hidden : (8, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
     rays : the occlusion rays; `lane` (8,) int64 is the sample of each.
@@ -66,6 +67,7 @@ class Scratch(NamedTuple):
     counts: np.ndarray
     sights: Group
     x: np.ndarray
+    pixel: np.ndarray
     index: np.ndarray
     column: np.ndarray
     radiance: np.ndarray
@@ -90,6 +92,7 @@ def new_scratch() -> Scratch:
         _zeros(len(COUNTERS), np.int64),
         new_group(),
         _zeros(SIZE, np.int64),
+        _zeros(SIZE, np.uint64),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.int64),
         _zeros((SIZE, 3)),

@@ -158,8 +158,8 @@ else:
 
 @device
 def _load_group(origins: np.ndarray, directions: np.ndarray, row: int, count: int, group: Group) -> None:
-    for i in range(count):
-        for axis in range(3):
+    for axis in range(3):
+        for i in range(count):
             group.origins[axis, i] = origins[row + i, axis]
             group.directions[axis, i] = directions[row + i, axis]
 

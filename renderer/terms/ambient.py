@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from renderer.arrays import SceneArrays
-from renderer.film import item_of, most_of, pixel_key, samples_of, see, settle, sights_of_row
+from renderer.film import item_of, most_of, samples_of, see, settle, sights_of_row
 from renderer.geometry.packets import SIZE
 from renderer.jit import device, kernel
 from renderer.photon_map import PhotonMap
@@ -140,7 +140,6 @@ def _occlusion(
                         radiance, asks = ambient_light(
                             scene, rule, surface, shadowed(scene, surface, scratch)
                         )
-                        pixel = pixel_key(scene, key, y, scratch.x[i])
                         begin, end = samples_of(scratch.index[i], split, first, last)
                         for sample in range(begin, end):
                             scratch.column[waiting] = scratch.x[i]
@@ -148,7 +147,7 @@ def _occlusion(
                                 # Its direction is the normal until `_aim` has drawn one.
                                 put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
                                 scratch.lane[asking] = waiting
-                                scratch.key[asking] = pixel
+                                scratch.key[asking] = scratch.pixel[i]
                                 scratch.sample[asking] = sample
                                 asking += 1
                             put(scratch.radiance, waiting, radiance)

@@ -13,7 +13,6 @@ from renderer.arrays import FAINT, SceneArrays
 from renderer.film import (
     accumulate,
     item_of,
-    pixel_key,
     sampler_of,
     see,
     settle,
@@ -114,8 +113,8 @@ def direct_nearest(
 
 
 @device
-def _aim(scene: SceneArrays, key: np.uint64, y: int, count: int, scratch: Scratch) -> None:
-    """Draw the points of the light samples of row y's first `count` sights: the k-th of sight i is point `8 k + i`.
+def _aim(scene: SceneArrays, count: int, scratch: Scratch) -> None:
+    """Draw the points of the light samples of the first `count` sights: the k-th of sight i is point `8 k + i`.
 
     In a loop of its own, which is vectorised. A point light alone leaves nothing to draw.
     """
@@ -124,7 +123,7 @@ def _aim(scene: SceneArrays, key: np.uint64, y: int, count: int, scratch: Scratc
     for k in range(scene.light_samples):
         for i in range(count):
             sample = np.uint32(scene.light_samples * scratch.index[i] + k)
-            sampler = Sampler(pixel_key(scene, key, y, scratch.x[i]), sample)
+            sampler = Sampler(scratch.pixel[i], sample)
             scratch.u[SIZE * k + i], scratch.v[SIZE * k + i] = sample_2d(sampler, LIGHT)
 
 
@@ -143,7 +142,7 @@ def _next_event(
         for y in range(tile.y0, tile.y1):
             for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
                 count = see(scene, key, tile, y, start, first, last, 1, scratch)
-                _aim(scene, key, y, count, scratch)
+                _aim(scene, count, scratch)
                 waiting = 0
                 asking = 0
                 for i in range(count):
@@ -186,7 +185,7 @@ def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
                     if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        sampler = sampler_of(scene, key, y, i, scratch)
+                        sampler = sampler_of(i, scratch)
                         accumulate(out, y, scratch.x[i], direct_path(scene, surface, sampler, scratch))
 
 

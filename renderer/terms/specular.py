@@ -137,7 +137,7 @@ def _chain(
                 count = see(scene, key, tile, y, start, first, last, 1, scratch)
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
-                    sampler = sampler_of(scene, key, y, i, scratch)
+                    sampler = sampler_of(i, scratch)
                     throughput = Vec3(1.0, 1.0, 1.0)
                     bounce = 0
                     while surface.face >= 0 and bounce < scene.max_bounces:
