@@ -2,7 +2,7 @@
 
 Both descents meet the same face at the same t: the wide tree's, eight boxes or triangles at a time, and the binary
 tree's, the reference, which needs no vectors. A group is traced as a packet where that pays, else as a bundle. Among
-few triangles any hit is sought without a tree.
+few triangles packets need no tree, nor does any hit of other rays.
 """
 
 import numpy as np
@@ -73,7 +73,11 @@ if _VECTORS:
         """Write what `closest_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
         if coherent and count == packets.SIZE and _hopeful(group, _NEAREST):
             packet = packets.make_packet(tree.wide, group)
-            if packet.coherent and packets.closest_hits_of_packet(tree.wide, packet, group, far, stack):
+            if packet.coherent and (
+                packets.closest_hits_among_few(corners, tree.wide, packet, group, far)
+                if len(tree.wide.few.corners) > 0
+                else packets.closest_hits_of_packet(tree.wide, packet, group, far, stack)
+            ):
                 group.patience[_NEAREST, 1] = packets.PATIENCE
                 return
             _give_up(group, _NEAREST)
@@ -111,7 +115,11 @@ if _VECTORS:
         """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
         if coherent and count == packets.SIZE and _hopeful(group, _ANY):
             packet = packets.make_packet(tree.wide, group)
-            if packet.coherent and packets.any_hits_of_packet(tree.wide, packet, group, far, stack):
+            if packet.coherent and (
+                packets.any_hits_among_few(corners, tree.wide, packet, group, far)
+                if len(tree.wide.few.corners) > 0
+                else packets.any_hits_of_packet(tree.wide, packet, group, far, stack)
+            ):
                 group.patience[_ANY, 1] = packets.PATIENCE
                 return
             _give_up(group, _ANY)
