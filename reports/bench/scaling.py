@@ -62,7 +62,7 @@ AXES = {
         "sample",
         _samples,
     ),
-    "samples": Axis({64: attrs.evolve(_AMBIENT, samples=64)}, "sample", _samples),
+    "samples": Axis({64: attrs.evolve(_AMBIENT, samples=64, sweep=True)}, "sample", _samples),
     # A picture so small that tracing, storing and sorting photons is nearly all.
     "photons": Axis(
         {
@@ -167,13 +167,11 @@ def _along(name: str, axis: Axis, runs: int, threads: int) -> list[dict[str, Any
     rows = []
     for place, (value, worker) in enumerate(zip(axis.loads, workers, strict=True)):
         found = [each[place] for each in rounds]
-        # The prefixes of one run are the whole axis of samples.
-        steps = range(len(found[0])) if name == "samples" else [len(found[0]) - 1]
-        for step in steps:
+        for step in range(len(found[0])):
             count = found[0][step][0]
             load = attrs.evolve(worker.load, samples=count)
             seconds = [each[step][1] for each in found]
-            rows.append(_row(name, count if name == "samples" else value, axis, load, seconds, worker))
+            rows.append(_row(name, count if load.sweep else value, axis, load, seconds, worker))
     return rows
 
 

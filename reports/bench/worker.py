@@ -1,7 +1,7 @@
 """One load of `scaling` in a process of its own: its peak memory is its own, and several may run side by side.
 
 `python -m reports.bench.worker LOAD` prints what it made ready, then waits: each line on standard input is one run,
-each answer the seconds of the samples' prefixes. At the end of the input it prints its peak memory. Lines are JSON.
+each answer the seconds by numbers of samples. At the end of the input it prints its peak memory. Lines are JSON.
 """
 
 import json
@@ -30,6 +30,7 @@ class Load:
     term, variant : of the renderer; without a variant the default.
     resolution : pixels of a side.
     samples : samples a pixel.
+    sweep : whether the prefixes of 1, 2, 4, ... samples are timed, too.
     threads : threads of the process.
     photons : photons a map; None: the scene's.
     subdivisions : of the ball.
@@ -40,6 +41,7 @@ class Load:
     variant: str | None = None
     resolution: int = 128
     samples: int = 16
+    sweep: bool = False
     threads: int = 1
     photons: int | None = None
     subdivisions: int = 5
@@ -74,9 +76,10 @@ def main() -> None:
     # A library that makes a mesh may have held more than the mesh.
     memory["memory_scene_mb"] = peak_mb()
     with Engine(scene, threads=described.threads) as engine:
+        counts = None if described.sweep else (described.samples,)
 
         def run() -> list[tuple[int, float]]:
-            steps = engine.prefixes(variant, samples=described.samples, seed=1, replicate=0)
+            steps = engine.prefixes(variant, samples=described.samples, seed=1, replicate=0, counts=counts)
             return [(count, seconds) for count, _, seconds in steps]
 
         run()
