@@ -31,16 +31,29 @@ def seconds_to(target: float, rmse: Sequence[float], seconds: Sequence[float]) -
     return math.inf
 
 
+def leaders(curves: Sequence[tuple[Sequence[float], Sequence[float]]], reach: float) -> list[int]:
+    """Which curves (RMSE, seconds) take at most `reach` times as long as the fastest where they end.
+
+    Beyond its end such a one would go on ahead, and a slower curve, which goes further, would pass for the best.
+    """
+    found = []
+    for place, (rmse, seconds) in enumerate(curves):
+        end = min(rmse)
+        if seconds_to(end, rmse, seconds) <= reach * min(seconds_to(end, *curve) for curve in curves):
+            found.append(place)
+    return found
+
+
 def targets(ours: Sequence[float], theirs: Sequence[Sequence[float]]) -> tuple[float, ...]:
-    """Three errors, falling, inside the curve of ours and inside one of theirs at least; none where they do not meet.
+    """Three errors, falling, that our curve and all of theirs reach; none where they do not meet.
 
     Parameters
     ----------
     ours : (P,) RMSE of our curve.
-    theirs : of each setting of Mitsuba's, (P,) RMSE of its curve.
+    theirs : of each setting of Mitsuba's that leads where its curve ends, (P,) RMSE of it.
     """
     high = min(max(ours), max(max(curve) for curve in theirs))
-    low = max(min(ours), min(min(curve) for curve in theirs))
+    low = max(min(ours), max(min(curve) for curve in theirs))
     if not 0.0 < low < high:
         return ()
     return tuple(low ** (1.0 - place) * high**place for place in _PLACES)

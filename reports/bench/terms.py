@@ -26,7 +26,7 @@ from renderer import Engine, Variant, find
 from renderer.plan import powers_of_two
 from renderer.terms import Chain
 from reports.bench.common import BACKEND, known, machine, positive, spread
-from reports.bench.curves import pooled, seconds_to, targets
+from reports.bench.curves import leaders, pooled, seconds_to, targets
 from scenes import limits
 from scenes.limits import Limit
 from scenes.load import load
@@ -311,23 +311,29 @@ def _joined(curves: list[Curve]) -> Curve:
 
 def _within_reach(ours: Curve, theirs: dict[Any, Curve], truth: Truth) -> list[Any]:
     """Settings that the pilot found near Mitsuba's best at one target at least."""
-    errors = {setting: pooled(curve.square, truth.noise) for setting, curve in theirs.items()}
+    known = {
+        setting: (list(pooled(curve.square, truth.noise)), list(curve.seconds.min(axis=0)))
+        for setting, curve in theirs.items()
+    }
     kept = []
-    for target in targets(list(pooled(ours.square, truth.noise)), [list(each) for each in errors.values()]):
-        times = {
-            setting: seconds_to(target, list(errors[setting]), list(curve.seconds.min(axis=0)))
-            for setting, curve in theirs.items()
-        }
+    for target in _targets(list(pooled(ours.square, truth.noise)), list(known.values())):
+        times = {setting: seconds_to(target, *curve) for setting, curve in known.items()}
         best = min(times.values())
         kept += [setting for setting, spent in times.items() if spent <= _REACH * best]
     return [setting for setting in theirs if setting in kept]
+
+
+def _targets(ours: list[float], theirs: list[tuple[list[float], list[float]]]) -> tuple[float, ...]:
+    """Errors within reach of ours and of what may be Mitsuba's best, by curves (RMSE, seconds) of its settings."""
+    return targets(ours, [theirs[place][0] for place in leaders(theirs, _REACH)]) if theirs else ()
 
 
 def _rows(ours: Curve, theirs: dict[str, Curve], truth: Truth, runs: int) -> Iterator[dict[str, Any]]:
     """Seconds of both sides at the targets."""
     mine = list(pooled(ours.square, truth.noise))
     errors = {name: list(pooled(curve.square, truth.noise)) for name, curve in theirs.items()}
-    for target in targets(mine, list(errors.values())) if errors else ():
+    middle = {name: list(np.median(curve.seconds, axis=0)) for name, curve in theirs.items()}
+    for target in _targets(mine, [(errors[name], middle[name]) for name in theirs]):
         their_times = {
             name: [seconds_to(target, errors[name], list(curve.seconds[run])) for run in range(runs)]
             for name, curve in theirs.items()

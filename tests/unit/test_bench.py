@@ -45,6 +45,15 @@ def test_targets_lie_inside_both_curves():
     assert 0.3 > found[0] > found[1] > found[2] > 0.05
 
 
+def test_who_leads_where_its_curve_ends():
+    """The fast one, which stops at 0.1, and the slow one, which alone goes further; not one that is behind both."""
+    fast, slow = ([0.4, 0.1], [1.0, 16.0]), ([0.4, 0.02], [10.0, 4000.0])
+    behind = [0.4, 0.2], [50.0, 200.0]
+    assert curves.leaders([fast, behind, slow], 1.5) == [0, 2]
+    # Below 0.1 the slow one would pass for the best.
+    assert min(curves.targets([0.4, 0.2, 0.05], [fast[0], slow[0]])) > 0.1
+
+
 def test_curves_that_do_not_meet_have_no_targets():
     assert curves.targets([0.4, 0.3], [[0.2, 0.1]]) == ()
     assert curves.targets([0.0, 0.0], [[0.0, 0.0]]) == ()
