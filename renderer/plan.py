@@ -9,7 +9,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Collection
-from typing import Literal
+from typing import Literal, get_args
 
 import attrs
 import numpy as np
@@ -114,6 +114,8 @@ def check(scene: Scene, variant: Variant, *, chain: Chain = "next-event") -> Non
     ValueError
         The message names the field, its value and what is allowed.
     """
+    if chain not in get_args(Chain):
+        raise ValueError(f"chain = {chain!r}: allowed are {', '.join(get_args(Chain))}")
     scattering = scene.photons.scattering
     if scattering == "full" and scene.shadows == "paper":
         raise ValueError(

@@ -223,8 +223,11 @@ class Engine:
         ValueError
             `samples` below 1, an option that the variant would ignore, or adaptive counts with a photon map a sample.
         """
+        if not isinstance(samples, int | np.integer):
+            raise ValueError(f"samples = {samples!r}: allowed is an integer of at least 1")
         if samples < 1:
             raise ValueError(f"samples = {samples}: allowed is at least 1")
+        samples = int(samples)
         check(self.scene, variant, chain=chain)
         if variant.function is not None:
             yield from self._called(variant, samples, seed, replicate, progress, cancel, counts)

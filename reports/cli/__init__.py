@@ -63,7 +63,9 @@ def main() -> None:
     except cyclopts.CycloptsError:
         status = 2  # already printed, in one line
     except KeyboardInterrupt:
-        terminal.fail("interrupted: finished replicates are kept, the same command goes on from there")
+        terminal.fail(
+            "interrupted: nothing is half-written; a study goes on from the replicates it has finished"
+        )
         status = 2
     except OSError as error:
         # NumPy says how much of an array it wrote, without a file or a number for the error.

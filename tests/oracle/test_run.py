@@ -638,7 +638,7 @@ def test_ctrl_c_is_one_line_and_the_same_command_goes_on(first: Finished, files:
     assert output == ""
     assert (
         messages
-        == "termwise: interrupted: finished replicates are kept, the same command goes on from there\n"
+        == "termwise: interrupted: nothing is half-written; a study goes on from the replicates it has finished\n"
     )
     assert not (files / "signal" / "compare" / "results.json").exists()
     assert not [path for path in files.rglob(".*") if path.is_file()], "a temporary file was left"

@@ -658,6 +658,8 @@ def test_one_pixel_and_one_photon(busy):
         ),
         ({"samples": 0}, "samples = 0: allowed is at least 1"),
         ({"samples": -4}, "samples = -4: allowed is at least 1"),
+        ({"samples": 2.5}, "samples = 2.5: allowed is an integer of at least 1"),
+        ({"chain": "photons"}, "chain = 'photons': allowed are next-event, path, paper"),
         ({"replicates": 0}, "replicates = 0: allowed is at least 1"),
         ({"threads": 0}, "threads = 0: allowed is at least 1"),
         ({"seed": -1}, "seed = -1: allowed is an integer in"),
