@@ -17,7 +17,7 @@ help: ## List the targets
 	@echo "termwise: installing into .venv, which takes a minute or two"
 	@$(PYTHON) -m venv .venv
 	@.venv/bin/python -m pip install --disable-pip-version-check -qq -c constraints.txt -e '.[dev]'
-	@.venv/bin/python -m reference.backend
+	@.venv/bin/python -m termwise.reference.backend
 	@touch $@
 
 install: .venv/.installed ## Create .venv with everything in it

@@ -4,18 +4,20 @@ Importing this package is cheap; Mitsuba is imported by the functions that rende
 """
 
 import hashlib
+import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import attrs
 import numpy as np
 
-from scenes.limits import Limit
-from scenes.model import Scene
-from scenes.terms import Term, TermImage
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import Term, TermImage
 
 PASSES = 4096  # passes that one replicate may use without sharing random numbers with the next
 _SPLIT: tuple[Term, ...] = ("ambient", "direct", "specular")
@@ -141,10 +143,10 @@ def loaded(scene: Scene) -> Any:
         without=("name", "exposure", "photons", "scope", "rings", "shadows", "intersection")
     )
     if content not in _loaded:
-        from reference.backend import import_mitsuba
+        from termwise.reference.backend import import_mitsuba
 
         import_mitsuba()  # before the modules that subclass Mitsuba's plugins
-        from reference import prepare, translate
+        from termwise.reference import prepare, translate
 
         _loaded.clear()
         with tempfile.TemporaryDirectory() as folder:
@@ -153,3 +155,14 @@ def loaded(scene: Scene) -> Any:
 
 
 _loaded: dict[str, Any] = {}
+
+
+class _Package(ModuleType):
+    """`termwise.reference` is this package and, for users, the function `render`: a call of the one is the other."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> TermImage:
+        """See `render`."""
+        return render(*arguments, **options)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -19,8 +19,8 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from reference import native
-from scenes.store import PROJECT, cache_folder, write_atomically
+from termwise.reference import native
+from termwise.scenes.store import ROOT, cache_folder, write_atomically
 
 VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
 PASSED = "passed"
@@ -98,7 +98,7 @@ def probe(variant: str, llvm_path: Path | None = None) -> str:
 
 
 def _probe_in_child(variant: str, llvm_path: Path | None) -> str:
-    code = f"from reference.backend import _render_closed_form as render; render({variant!r})"
+    code = f"from termwise.reference.backend import _render_closed_form as render; render({variant!r})"
     with tempfile.TemporaryDirectory() as home:
         # Dr.Jit keeps compiled kernels below HOME: those of a good LLVM would hide that this one fails.
         environment = os.environ | {"HOME": home}
@@ -107,7 +107,7 @@ def _probe_in_child(variant: str, llvm_path: Path | None) -> str:
         command = [sys.executable, "-c", code]
         try:
             done = subprocess.run(
-                command, env=environment, cwd=PROJECT, capture_output=True, text=True, timeout=_PROBE_SECONDS
+                command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=_PROBE_SECONDS
             )
         except subprocess.TimeoutExpired:
             return f"the probe did not end within {_PROBE_SECONDS} s"

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import attrs
 
-import reference
-from reference import backend, translate
-from scenes.limits import Limit
-from scenes.model import Scene
-from scenes.store import PROJECT
+from termwise import reference
+from termwise.reference import backend, translate
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
+from termwise.scenes.store import ROOT
 
 SOURCES = (
     "wavefront.py",
@@ -112,7 +112,7 @@ def export(
         (written / "integrals").mkdir(parents=True)
         translate.describe(scene, written)  # meshes and sky
         for source in SOURCES:
-            path = PROJECT / "reference" / source
+            path = ROOT / "reference" / source
             copy = shutil.copytree if path.is_dir() else shutil.copyfile
             copy(path, written / "integrals" / source)
         shutil.rmtree(written / "integrals" / "terms" / "__pycache__", ignore_errors=True)

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import reference
-from reference.translate import Canonical
-from scenes.model import Scene
+from termwise import reference
+from termwise.reference.translate import Canonical
+from termwise.scenes.model import Scene
 
 
 class Geometry(NamedTuple):

@@ -18,12 +18,12 @@ from typing import NamedTuple
 import attrs
 import numpy as np
 
-import reference
-from reference import backend
-from scenes.limits import Limit
-from scenes.model import Scene
-from scenes.store import PROJECT, sources_digest, write_atomically
-from scenes.terms import Term
+from termwise import reference
+from termwise.reference import backend
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
+from termwise.scenes.store import ROOT, sources_digest, write_atomically
+from termwise.scenes.terms import Term
 
 _ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope", "rings", "shadows", "intersection")
 _IRRELEVANT: dict[Term, tuple[str, ...]] = {
@@ -144,7 +144,7 @@ def key(scene: Scene, limit: Limit, *, spp: int, seed: int, by_second: bool = Fa
         if limit.shadows == "paper":  # then lights decide on the ambient term as well
             irrelevant = tuple(field for field in irrelevant if field != "lights")
     versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit")]
-    sources = sources_digest(PROJECT / "reference", PROJECT / "scenes")
+    sources = sources_digest(ROOT / "reference", ROOT / "scenes")
     content = scene.digest(without=_ALWAYS_IRRELEVANT + irrelevant)
     settings = repr((content, attrs.astuple(limit), spp, seed, by_second, _variant(), versions, sources))
     return hashlib.sha256(settings.encode()).hexdigest()

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import attrs
 import numpy as np
 
-from scenes.model import Material, Mesh, Object, PointLight, Scene
+from termwise.scenes.model import Material, Mesh, Object, PointLight, Scene
 
 Role = Literal[
     "color", "diffuse", "ambient", "direct", "specular", "physical-lights", "physical-sky", "physical"

@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from renderer.photon_map import KEPT_BYTES
-from renderer.terms import DEFAULTS, VARIANTS, Chain, Variant, find
-from renderer.tiles import Engine
-from scenes.model import Scene
-from scenes.terms import TermImage
+from termwise.renderer.photon_map import KEPT_BYTES
+from termwise.renderer.terms import DEFAULTS, VARIANTS, Chain, Variant, find
+from termwise.renderer.tiles import Engine, whole
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import TermImage
 
 __all__ = ["DEFAULTS", "VARIANTS", "Engine", "Variant", "find", "render", "render_terms"]
 
@@ -87,6 +87,7 @@ def render_terms(
     """
     if replicates < 1:
         raise ValueError(f"replicates = {replicates}: allowed is at least 1")
+    samples = whole(samples)
     estimators = {term: find(term, variant) for term, variant in variants.items()}
     images: dict[str, list[np.ndarray]] = {term: [] for term in variants}
     seconds = dict.fromkeys(variants, 0.0)

@@ -9,7 +9,7 @@ Synthesis", SIGGRAPH 1991).
 
 import numpy as np
 
-from renderer.film import Tile
+from termwise.renderer.film import Tile
 
 SIDE = 8  # pixels of a tile: its variance is estimated from 64 pixels, and a call of a kernel costs what 200 samples do
 PILOT = 4  # samples a pixel of each of the two pilot images

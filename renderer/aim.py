@@ -7,7 +7,7 @@ those to all points of its triangles do: each is a positive combination of the f
 
 import numpy as np
 
-from renderer.vector import Vec3
+from termwise.renderer.vector import Vec3
 
 _STEPS = 32
 _ROUNDING = 1e-9

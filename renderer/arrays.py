@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.aim import cone
-from renderer.geometry import bvh
-from renderer.geometry.bvh import Tree
-from renderer.openness import open_sides
-from renderer.vector import Vec3
-from scenes.model import Camera, PointLight, Scene
+from termwise.renderer.aim import cone
+from termwise.renderer.geometry import bvh
+from termwise.renderer.geometry.bvh import Tree
+from termwise.renderer.openness import open_sides
+from termwise.renderer.vector import Vec3
+from termwise.scenes.model import Camera, PointLight, Scene
 
 
 class Geometry(NamedTuple):

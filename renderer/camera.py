@@ -4,11 +4,11 @@ The paper sends the ray through the top-left corner of each pixel; `centre` and 
 box-filtered choice.
 """
 
-from renderer.arrays import CameraArrays
-from renderer.geometry.intersect import Ray, make_ray
-from renderer.jit import device
-from renderer.sobol import Sampler, sample_2d
-from renderer.vector import Vec3, mad, normalize
+from termwise.renderer.arrays import CameraArrays
+from termwise.renderer.geometry.intersect import Ray, make_ray
+from termwise.renderer.jit import device
+from termwise.renderer.sobol import Sampler, sample_2d
+from termwise.renderer.vector import Vec3, mad, normalize
 
 CORNER, CENTRE, JITTER = range(3)  # as in arrays.PIXEL_RULES
 FILM = 0  # the pair of dimensions that places a sample in its pixel

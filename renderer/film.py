@@ -5,16 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.arrays import CameraArrays, SceneArrays
-from renderer.camera import CENTRE, JITTER, camera_ray, direction_through, point_in_pixel
-from renderer.geometry.intersect import make_ray
-from renderer.geometry.packets import SIZE
-from renderer.jit import device, kernel
-from renderer.rng import fold
-from renderer.scratch import Scratch
-from renderer.sobol import Sampler
-from renderer.surface import closest, hit_of, occlude_group, put_hit, put_ray, trace, trace_group
-from renderer.vector import Vec3, column, length, put, put_column, sub, vec3
+from termwise.renderer.arrays import CameraArrays, SceneArrays
+from termwise.renderer.camera import CENTRE, JITTER, camera_ray, direction_through, point_in_pixel
+from termwise.renderer.geometry.intersect import make_ray
+from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.rng import fold
+from termwise.renderer.scratch import Scratch
+from termwise.renderer.sobol import Sampler
+from termwise.renderer.surface import closest, hit_of, occlude_group, put_hit, put_ray, trace, trace_group
+from termwise.renderer.vector import Vec3, column, length, put, put_column, sub, vec3
 
 # Samples of a pixel that have a camera ray each: edges need some before the rest shares. With 8 the same error took 1.0
 # to 1.2 times as long (ambient, three scenes, 8 to 256 samples).

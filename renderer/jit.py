@@ -22,9 +22,11 @@ import numba
 import numpy as np
 from numba.core import config
 
-from scenes.store import cache_folder
+from termwise.scenes.store import cache_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+PACKAGE = "termwise.renderer"
 
 
 @functools.cache
@@ -33,14 +35,14 @@ def _imports(module: str) -> tuple[Path, frozenset[str]]:
     path = Path(inspect.getfile(importlib.import_module(module)))
     found = set()
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "renderer":
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(PACKAGE):
             found.add(node.module)
-            # `from renderer import sobol` names a module, `from renderer.sobol import x` a function.
+            # `from termwise.renderer import sobol` names a module, `….sobol import x` a function.
             nested = (f"{node.module}.{name.name}" for name in node.names)
             found.update(name for name in nested if _is_module(name))
         elif isinstance(node, ast.Import):
-            found.update(name.name for name in node.names if name.name.split(".")[0] == "renderer")
-    return path, frozenset(found - {"renderer"})
+            found.update(name.name for name in node.names if name.name.startswith(PACKAGE))
+    return path, frozenset(found - {PACKAGE})
 
 
 def _is_module(name: str) -> bool:

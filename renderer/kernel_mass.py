@@ -13,9 +13,9 @@ import math
 
 import numpy as np
 
-from renderer.arrays import SceneArrays
-from renderer.jit import device
-from renderer.vector import Vec3, add, cross, dot, entry, frame, length, mad, scale, sub, vec3
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3, add, cross, dot, entry, frame, length, mad, scale, sub, vec3
 
 EXPONENTS = {"uniform": 0, "epanechnikov": 1, "simpson": 2}
 # Photons of faces turned further than acos(0.1) from the query's are another surface (Mitsuba 0.6 has the same bound).

@@ -13,13 +13,13 @@ import math
 
 import numpy as np
 
-from renderer.arrays import SceneArrays
-from renderer.jit import device
-from renderer.scratch import Scratch
-from renderer.sobol import Sampler, sample_2d
-from renderer.surface import Surface, occluded, point_on_face
-from renderer.vector import Vec3, add, dot, entry, is_black, length, scale, sub, vec3
-from renderer.warp import INV_PI, square_to_triangle
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.jit import device
+from termwise.renderer.scratch import Scratch
+from termwise.renderer.sobol import Sampler, sample_2d
+from termwise.renderer.surface import Surface, occluded, point_on_face
+from termwise.renderer.vector import Vec3, add, dot, entry, is_black, length, scale, sub, vec3
+from termwise.renderer.warp import INV_PI, square_to_triangle
 
 _BELOW_ONE = 1.0 - 2.0**-53
 

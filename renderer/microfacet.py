@@ -12,9 +12,9 @@ Schlick, CGF 13(3), 1994.
 
 import math
 
-from renderer.jit import device
-from renderer.vector import Vec3, add, dot, length, scale
-from renderer.warp import INV_PI
+from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3, add, dot, length, scale
+from termwise.renderer.warp import INV_PI
 
 _SQRT_PI = math.sqrt(math.pi)
 _LOWEST = -1.0 + 2.0**-53  # the least value of erf that has a finite inverse

@@ -7,7 +7,7 @@ mesh, both sides of a flat one. Smooth normals are out: their hemisphere dips be
 
 import numpy as np
 
-from scenes.model import Mesh, Scene
+from termwise.scenes.model import Mesh, Scene
 
 # Faces x vertices that are compared at most: larger meshes are seldom convex, and are taken to be not.
 _MOST = 4_000_000

@@ -16,12 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.arrays import SceneArrays
-from renderer.jit import device, kernel
-from renderer.kernel_mass import EXPONENTS, falloff, kernel_mass, peak, same_surface
-from renderer.scratch import DENSITY_ESTIMATES, Scratch
-from renderer.surface import Surface
-from renderer.vector import Vec3, dot, entry, vec3
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.kernel_mass import EXPONENTS, falloff, kernel_mass, peak, same_surface
+from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3, dot, entry, vec3
 
 _PLACED = 1 << 16  # photons that a thread copies at a time
 # Memory for the maps of a replicate that another term may use: 16 passes of the open Cornell box take 75 MB.

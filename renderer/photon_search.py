@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
-from renderer.jit import device
-from renderer.photon_map import PhotonMap, cell_index
-from renderer.surface import Surface
-from renderer.vector import Vec3, dot, vec3
+from termwise.renderer.jit import device
+from termwise.renderer.photon_map import PhotonMap, cell_index
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3, dot, vec3
 
 
 @device

@@ -17,17 +17,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.arrays import SceneArrays
-from renderer.geometry.intersect import make_ray
-from renderer.jit import device, kernel
-from renderer.lights import pick
-from renderer.microfacet import sample_lobe
-from renderer.photon_map import PhotonMap, build, empty
-from renderer.rng import fold, stream
-from renderer.scratch import PHOTONS, Scratch
-from renderer.sobol import Sampler, sample_1d, sample_2d
-from renderer.surface import Surface, point_on_face, trace
-from renderer.vector import (
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.geometry.intersect import make_ray
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.lights import pick
+from termwise.renderer.microfacet import sample_lobe
+from termwise.renderer.photon_map import PhotonMap, build, empty
+from termwise.renderer.rng import fold, stream
+from termwise.renderer.scratch import PHOTONS, Scratch
+from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
+from termwise.renderer.surface import Surface, point_on_face, trace
+from termwise.renderer.vector import (
     Vec3,
     dot,
     entry,
@@ -40,7 +40,7 @@ from renderer.vector import (
     to_world,
     vec3,
 )
-from renderer.warp import (
+from termwise.renderer.warp import (
     square_to_cosine_hemisphere,
     square_to_triangle,
     square_to_uniform_cone,

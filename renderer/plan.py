@@ -14,14 +14,14 @@ from typing import Literal, get_args
 import attrs
 import numpy as np
 
-from renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of, light_samples
-from renderer.film import ALONE, sights_of
-from renderer.openness import open_sides
-from renderer.photon_map import KEPT_BYTES
-from renderer.scratch import SEEN_BYTES
-from renderer.terms.variant import Chain, Stored, Variant
-from scenes.model import Material, Scene
-from scenes.terms import TERMS, Term
+from termwise.renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of, light_samples
+from termwise.renderer.film import ALONE, sights_of
+from termwise.renderer.openness import open_sides
+from termwise.renderer.photon_map import KEPT_BYTES
+from termwise.renderer.scratch import SEEN_BYTES
+from termwise.renderer.terms.variant import Chain, Stored, Variant
+from termwise.scenes.model import Material, Scene
+from termwise.scenes.terms import TERMS, Term
 
 Kind = Literal["runs", "skip", "economy", "reuse"]
 

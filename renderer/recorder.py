@@ -22,12 +22,23 @@ from typing import Any
 
 import numpy as np
 
-from renderer import camera, film, kernel_mass, lights, photon_map, photon_search, sobol, surface, warp
-from renderer.arrays import SceneArrays
-from renderer.microfacet import pdf_lobe
-from renderer.scratch import new_scratch
-from renderer.terms import VARIANTS, ambient, direct, specular
-from renderer.vector import column, dot, vec3
+from termwise.renderer import (
+    camera,
+    film,
+    kernel_mass,
+    lights,
+    photon_map,
+    photon_search,
+    sobol,
+    surface,
+    warp,
+)
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.jit import PACKAGE
+from termwise.renderer.microfacet import pdf_lobe
+from termwise.renderer.scratch import new_scratch
+from termwise.renderer.terms import VARIANTS, ambient, direct, specular
+from termwise.renderer.vector import column, dot, vec3
 
 Event = dict[str, Any]
 
@@ -240,7 +251,7 @@ def _watch(recorder: Recorder) -> None:
     """Put a wrapper in the place of every watched function, wherever a module of `renderer` names it."""
     wrapped = {function: _wrapped(function, getattr(recorder, function.__name__)) for function in WATCHED}
     for name, module in list(sys.modules.items()):
-        if name.split(".")[0] == "renderer" and module is not sys.modules[__name__]:
+        if name.startswith(PACKAGE) and module is not sys.modules[__name__]:
             for attribute, value in list(vars(module).items()):
                 if inspect.isfunction(value) and value in wrapped:
                     setattr(module, attribute, wrapped[value])

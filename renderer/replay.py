@@ -20,12 +20,12 @@ from typing import Any
 import attrs
 import numpy as np
 
-from renderer.plan import skipped
-from renderer.recorder import Event
-from renderer.scratch import Seen
-from renderer.terms import Chain, Variant
-from renderer.tiles import Engine
-from scenes.model import Scene
+from termwise.renderer.plan import skipped
+from termwise.renderer.recorder import Event
+from termwise.renderer.scratch import Seen
+from termwise.renderer.terms import Chain, Variant
+from termwise.renderer.tiles import Engine
+from termwise.scenes.model import Scene
 
 TOLERATED_ULP = 16.0
 """Of the brightest channel of a sample."""
@@ -79,7 +79,7 @@ class _Recorded(Engine):
         self.samples: list[Sample] = []
         self._objects = [thing.name for thing in scene.objects]
         self._recorder = subprocess.Popen(
-            [sys.executable, "-m", "renderer.recorder"],
+            [sys.executable, "-m", "termwise.renderer.recorder"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={
@@ -107,7 +107,7 @@ class _Recorded(Engine):
             events, radiance = pickle.load(self._recorder.stdout)
         except EOFError:
             raise ChildProcessError(
-                errno.ECHILD, "ended before it had answered", "renderer.recorder"
+                errno.ECHILD, "ended before it had answered", "termwise.renderer.recorder"
             ) from None
         for event in events:
             if "object" in event:

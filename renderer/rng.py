@@ -5,7 +5,7 @@ Whatever order or thread asks, the same key gives the same bits.
 
 import numpy as np
 
-from renderer.jit import device
+from termwise.renderer.jit import device
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _SHIFT_30 = np.uint64(30)

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from renderer.arrays import LIGHT_SAMPLES
-from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.packets import SIZE, Group, new_group
-from renderer.memory import aligned, on_own_lines
+from termwise.renderer.arrays import LIGHT_SAMPLES
+from termwise.renderer.geometry.bvh import STACK_SIZE
+from termwise.renderer.geometry.packets import SIZE, Group, new_group
+from termwise.renderer.memory import aligned, on_own_lines
 
 # Rays that ask for the nearest hit, rays that ask for any hit, photons traced, estimates of density by photons.
 COUNTERS = ("rays", "occlusion rays", "photons", "density estimates")

@@ -7,9 +7,9 @@ settings: `v = acos(n.z) / pi` (lat-long), and n = the ray's direction (infinite
 
 import math
 
-from renderer.arrays import SkyArrays
-from renderer.jit import device
-from renderer.vector import Vec3, add, dot, mad, scale, sub
+from termwise.renderer.arrays import SkyArrays
+from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3, add, dot, mad, scale, sub
 
 
 @device

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.jit import device
-from renderer.rng import fold
+from termwise.renderer.jit import device
+from termwise.renderer.rng import fold
 
 
 class Sampler(NamedTuple):

@@ -7,13 +7,13 @@ travelled; rays that leave it skip this face (or its object, see `Scene.ignore`)
 import math
 from typing import NamedTuple
 
-from renderer.arrays import Geometry, SceneArrays
-from renderer.geometry import paper, rays
-from renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
-from renderer.geometry.packets import Group, hit_of, put_hit
-from renderer.jit import device
-from renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
-from renderer.vector import Vec3, column, dot, entry, negate, normalize, put_column, sub, vec3
+from termwise.renderer.arrays import Geometry, SceneArrays
+from termwise.renderer.geometry import paper, rays
+from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
+from termwise.renderer.geometry.packets import Group, hit_of, put_hit
+from termwise.renderer.jit import device
+from termwise.renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
+from termwise.renderer.vector import Vec3, column, dot, entry, negate, normalize, put_column, sub, vec3
 
 
 class Surface(NamedTuple):

@@ -13,12 +13,12 @@ from typing import Self
 
 import numpy as np
 
-from renderer import photon_map, photon_tracing
-from renderer.adaptive import PILOT, SIDE, shares
-from renderer.arrays import SceneArrays, from_scene
-from renderer.film import GeometryImages, Tile, trace_centres
-from renderer.jit import warm
-from renderer.plan import (
+from termwise.renderer import photon_map, photon_tracing
+from termwise.renderer.adaptive import PILOT, SIDE, shares
+from termwise.renderer.arrays import SceneArrays, from_scene
+from termwise.renderer.film import GeometryImages, Tile, trace_centres
+from termwise.renderer.jit import warm
+from termwise.renderer.plan import (
     ECONOMIES,
     SKIPS,
     check,
@@ -28,11 +28,11 @@ from renderer.plan import (
     powers_of_two,
     skipped,
 )
-from renderer.rng import root, stream
-from renderer.scratch import COUNTERS, NOTHING_SEEN, SEEN_BYTES, Scratch, Seen, new_scratch, new_seen
-from renderer.terms.variant import Chain, Stored, Variant
-from scenes.model import Scene
-from scenes.terms import TERMS
+from termwise.renderer.rng import root, stream
+from termwise.renderer.scratch import COUNTERS, NOTHING_SEEN, SEEN_BYTES, Scratch, Seen, new_scratch, new_seen
+from termwise.renderer.terms.variant import Chain, Stored, Variant
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import TERMS
 
 TILE = 32
 # Calls of a kernel, each for several tiles: one costs 25 to 60 µs, mostly Python's, which threads do not share. Of one
@@ -79,6 +79,15 @@ def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int, split: in
     end = np.maximum(1, np.floor(last * share)).astype(int)
     item = np.array(tiles, np.int64).reshape(-1, 4)
     return np.column_stack([item, begin, end, np.full(len(tiles), split)])
+
+
+def whole(samples: int) -> int:
+    """The samples a pixel as an integer; a ValueError where they are none, or below 1."""
+    if not isinstance(samples, int | np.integer):
+        raise ValueError(f"samples = {samples!r}: allowed is an integer of at least 1")
+    if samples < 1:
+        raise ValueError(f"samples = {samples}: allowed is at least 1")
+    return int(samples)
 
 
 class Engine:
@@ -223,11 +232,7 @@ class Engine:
         ValueError
             `samples` below 1, an option that the variant would ignore, or adaptive counts with a photon map a sample.
         """
-        if not isinstance(samples, int | np.integer):
-            raise ValueError(f"samples = {samples!r}: allowed is an integer of at least 1")
-        if samples < 1:
-            raise ValueError(f"samples = {samples}: allowed is at least 1")
-        samples = int(samples)
+        samples = whole(samples)
         check(self.scene, variant, chain=chain)
         if variant.function is not None:
             yield from self._called(variant, samples, seed, replicate, progress, cancel, counts)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.jit import device
+from termwise.renderer.jit import device
 
 
 class Vec3(NamedTuple):

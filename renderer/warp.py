@@ -2,8 +2,8 @@
 
 import math
 
-from renderer.jit import device
-from renderer.vector import Vec3
+from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3
 
 INV_PI = 1.0 / math.pi
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import xarray
 
-from reports import tiles, verdict
-from reports.images import write_exr, write_netcdf
-from reports.run import plain, versions
-from reports.stored import SCHEMA
-from scenes.store import write_atomically
-from scenes.terms import TermImage
+from termwise.reports.results.images import write_exr, write_netcdf
+from termwise.reports.results.schema import SCHEMA
+from termwise.reports.run import plain, versions
+from termwise.reports.statistics import tiles, verdict
+from termwise.scenes.store import write_atomically
+from termwise.scenes.terms import TermImage
 
 MIDDLE_GREY = 0.18
 """What the mean of the reference is shown as."""
@@ -40,7 +40,7 @@ def judge(
     Parameters
     ----------
     images, reference, exact, noiseless, names, reference_names
-        As for `reports.verdict.judge`.
+        As for `reports.statistics.verdict.judge`.
     folder : Path
         Gets `results.json`, `results.nc` and `images.exr`; made if missing.
     exposure : float, optional
@@ -56,7 +56,7 @@ def judge(
     Raises
     ------
     ValueError
-        As `reports.verdict.measure`, or for an exposure that is not positive.
+        As `reports.statistics.verdict.measure`, or for an exposure that is not positive.
     """
     if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure = {exposure}: allowed is a number in (0, inf)")

@@ -3,7 +3,7 @@
 scene -> plan -> (renderer | reference) -> measurements -> verdicts -> `results.json`, `results.nc`, `images/*.exr`
 
 The level of every test depends on the number of tests of the whole run, so all rows are measured before any is decided;
-with a budget, undecided ones are then measured again with more replicates (see `reports.sequential`).
+with a budget, undecided ones are then measured again with more replicates (see `reports.statistics.sequential`).
 Replicates are kept in the cache by content: an interrupted run goes on where it stopped, a run with nothing changed
 computes nothing.
 """
@@ -24,27 +24,18 @@ from typing import Any
 import attrs
 import numpy as np
 
-from reference import backend, shared, store
-from renderer import photon_map
-from renderer.plan import plan, skipped
-from renderer.terms import Chain, Variant, registered
-from renderer.tiles import Engine
-from reports import (
-    cells,
-    closed_forms,
-    exact,
-    images,
-    kernel_bias,
-    metrics,
-    references,
-    sequential,
-    stored,
-    tiles,
-    verdict,
-)
-from reports.bench.common import processor
-from reports.cells import Cell
-from reports.convergence import (
+from termwise.reference import backend, shared, store
+from termwise.renderer import photon_map
+from termwise.renderer.plan import plan, skipped
+from termwise.renderer.terms import Chain, Variant, registered
+from termwise.renderer.tiles import Engine
+from termwise.reports.bench.common import processor
+from termwise.reports.jobs import cells
+from termwise.reports.jobs.cells import Cell
+from termwise.reports.results import images
+from termwise.reports.results import schema as stored
+from termwise.reports.statistics import metrics, sequential, tiles, verdict
+from termwise.reports.statistics.convergence import (
     PREFIXES_NEEDED,
     Convergence,
     extrapolate,
@@ -52,16 +43,18 @@ from reports.convergence import (
     mean_square_error,
     relative_error,
 )
-from reports.exact import Case
-from reports.sequential import Item, Ledger
-from reports.study import Study
-from reports.subjects import CHAIN, Subject, own_limit, subjects
-from reports.verdict import Estimate, Statistics, Verdict
-from scenes import limits
-from scenes.limits import Limit
-from scenes.model import Scene
-from scenes.store import PROJECT, cache_folder, sources_digest, write_atomically
-from scenes.terms import TERMS, TOTAL, Term, total
+from termwise.reports.statistics.sequential import Item, Ledger
+from termwise.reports.statistics.verdict import Estimate, Statistics, Verdict
+from termwise.reports.study import audits as references
+from termwise.reports.study import closed_forms, exact, kernel_bias
+from termwise.reports.study.exact import Case
+from termwise.reports.study.study import Study
+from termwise.reports.study.subjects import CHAIN, Subject, own_limit, subjects
+from termwise.scenes import limits
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
+from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
+from termwise.scenes.terms import TERMS, TOTAL, Term, total
 
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
@@ -111,7 +104,7 @@ def _described(*used: store.Replicates) -> dict[str, Any]:
 
 def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
     """sha256 of all that decides a run's results but the speed of the machine; new each time with registered ones."""
-    sources = sources_digest(*(PROJECT / name for name in ("renderer", "reference", "scenes", "reports")))
+    sources = sources_digest(*(ROOT / name for name in ("renderer", "reference", "scenes", "reports")))
     settings = (
         attrs.asdict(study),
         [(s.name, s.exposure, s.digest()) for s in scenes],

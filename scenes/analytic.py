@@ -18,7 +18,7 @@ import math
 import numpy as np
 import trimesh
 
-from scenes.model import (
+from termwise.scenes.model import (
     Ambient,
     Camera,
     Color,
@@ -31,7 +31,7 @@ from scenes.model import (
     Sky,
     Vector,
 )
-from scenes.terms import Scope
+from termwise.scenes.terms import Scope
 
 _ONE_RAY = 1e-3
 _GREY = Material()

@@ -18,7 +18,7 @@ from typing import Literal
 
 import attrs
 
-from scenes.terms import Scope, Term
+from termwise.scenes.terms import Scope, Term
 
 KernelShape = Literal["simpson", "epanechnikov", "uniform", "nearest"]
 

@@ -16,8 +16,8 @@ import numpy as np
 import OpenEXR
 import trimesh
 
-from scenes import strict
-from scenes.model import (
+from termwise.scenes import strict
+from termwise.scenes.model import (
     BLACK,
     Ambient,
     Camera,
@@ -36,8 +36,8 @@ from scenes.model import (
     non_negative,
     positive,
 )
-from scenes.strict import FileError
-from scenes.terms import Scope
+from termwise.scenes.strict import FileError
+from termwise.scenes.terms import Scope
 
 LIBRARY = Path(__file__).parent / "library"
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import attrs
 import numpy as np
 
-from scenes.terms import Scope
+from termwise.scenes.terms import Scope
 
 Vector = tuple[float, float, float]
 Color = tuple[float, float, float]

@@ -13,9 +13,9 @@ import OpenEXR
 import tomli_w
 import trimesh
 
-from scenes.load import load
-from scenes.model import Ambient, Material, Mesh, Object, Photons, Scene, Sky, Toggles
-from scenes.store import write_atomically
+from termwise.scenes.load import load
+from termwise.scenes.model import Ambient, Material, Mesh, Object, Photons, Scene, Sky, Toggles
+from termwise.scenes.store import write_atomically
 
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 

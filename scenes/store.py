@@ -7,12 +7,19 @@ import uuid
 from collections.abc import Callable
 from pathlib import Path
 
-PROJECT = Path(__file__).resolve().parent.parent
+import platformdirs
+
+ROOT = Path(__file__).resolve().parent.parent
+"""Folder of `scenes`, `renderer`, `reference` and `reports`: the checkout, or the package where it is installed."""
 
 
 def cache_folder() -> Path:
-    """Folder of everything that can be made again: `$TERMWISE_CACHE`, or `.cache` in the project."""
-    return Path(os.environ.get("TERMWISE_CACHE") or PROJECT / ".cache")
+    """Folder of everything that can be made again: `$TERMWISE_CACHE`, or `.cache` in a checkout, or the user's."""
+    if given := os.environ.get("TERMWISE_CACHE"):
+        return Path(given)
+    if (ROOT / "pyproject.toml").is_file():
+        return ROOT / ".cache"
+    return platformdirs.user_cache_path("termwise")
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.geometry import simd, wide
-from renderer.geometry.wide import MAX_DEPTH, WIDTH, Wide
-from renderer.jit import kernel
+from termwise.renderer.geometry import simd, wide
+from termwise.renderer.geometry.wide import MAX_DEPTH, WIDTH, Wide
+from termwise.renderer.jit import kernel
 
 LEAF_SIZE = 4
 BINS = 16

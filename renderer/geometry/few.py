@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.geometry.intersect import FaceRange, Ray, component
-from renderer.geometry.simd import (
+from termwise.renderer.geometry.intersect import FaceRange, Ray, component
+from termwise.renderer.geometry.simd import (
     bits,
     choose,
     fma,
@@ -32,9 +32,9 @@ from renderer.geometry.simd import (
     splat,
     store,
 )
-from renderer.jit import device
-from renderer.memory import on_own_lines
-from renderer.vector import Vec3, entry
+from termwise.renderer.jit import device
+from termwise.renderer.memory import on_own_lines
+from termwise.renderer.vector import Vec3, entry
 
 LANES = 16
 BLOCK = 9 * LANES

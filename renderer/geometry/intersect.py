@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.jit import device
-from renderer.vector import Vec3
+from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3
 
 
 class Ray(NamedTuple):

@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.geometry.few import BLOCK, LANES
-from renderer.geometry.intersect import Hit, component, make_ray
-from renderer.geometry.simd import (
+from termwise.renderer.geometry.few import BLOCK, LANES
+from termwise.renderer.geometry.intersect import Hit, component, make_ray
+from termwise.renderer.geometry.simd import (
     as_int,
     bits,
     choose,
@@ -47,8 +47,8 @@ from renderer.geometry.simd import (
     store,
     widen,
 )
-from renderer.geometry.wide import HIGH, LEAF, LINKS, NODE, Wide
-from renderer.geometry.wide_traverse import (
+from termwise.renderer.geometry.wide import HIGH, LEAF, LINKS, NODE, Wide
+from termwise.renderer.geometry.wide_traverse import (
     DISTANCE_BITS,
     KEYS,
     MAX_INVERSE,
@@ -63,9 +63,9 @@ from renderer.geometry.wide_traverse import (
     face_of,
     triangles_of,
 )
-from renderer.jit import device
-from renderer.memory import on_own_lines
-from renderer.vector import column, entry
+from termwise.renderer.jit import device
+from termwise.renderer.memory import on_own_lines
+from termwise.renderer.vector import column, entry
 
 SIZE = 8
 # Groups that are traced as bundles after a packet that did not pay, or was none; twice as many each time.

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from renderer.geometry.intersect import FaceRange, Hit, Ray
-from renderer.jit import device
-from renderer.vector import Vec3, cross, dot, length, scale, sub, vec3
+from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray
+from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3, cross, dot, length, scale, sub, vec3
 
 _EPSILON = 1e-5
 

@@ -7,13 +7,13 @@ few triangles packets need no tree, nor does any hit of other rays.
 
 import numpy as np
 
-from renderer.geometry import packets, simd, traverse, wide_traverse
-from renderer.geometry.bvh import STACK_SIZE, Tree
-from renderer.geometry.few import DOUBT, HIT, answer, any_hit_of_few, put_queries, query_of
-from renderer.geometry.intersect import NOTHING, FaceRange, Hit, Ray, make_ray
-from renderer.geometry.packets import Group, put_hit
-from renderer.jit import device, kernel
-from renderer.vector import column, vec3
+from termwise.renderer.geometry import packets, simd, traverse, wide_traverse
+from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
+from termwise.renderer.geometry.few import DOUBT, HIT, answer, any_hit_of_few, put_queries, query_of
+from termwise.renderer.geometry.intersect import NOTHING, FaceRange, Hit, Ray, make_ray
+from termwise.renderer.geometry.packets import Group, put_hit
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.vector import column, vec3
 
 _VECTORS = simd.available()
 _NEAREST, _ANY = range(2)

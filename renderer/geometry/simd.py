@@ -21,7 +21,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic as _intrinsic
 from numba.extending import lower_builtin, register_model
 
-from renderer.jit import device
+from termwise.renderer.jit import device
 
 # pyright believes that an intrinsic is called with its typing context, and that `infer_global` may be None.
 intrinsic = cast(Any, _intrinsic)

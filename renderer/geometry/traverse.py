@@ -16,10 +16,10 @@ import math
 
 import numpy as np
 
-from renderer.geometry.bvh import Tree
-from renderer.geometry.intersect import FaceRange, Hit, Ray, intersect_triangle
-from renderer.jit import device
-from renderer.vector import entry
+from termwise.renderer.geometry.bvh import Tree
+from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, intersect_triangle
+from termwise.renderer.jit import device
+from termwise.renderer.vector import entry
 
 _SLACK = 2.0**-48
 

@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.geometry.few import Few, few_of
-from renderer.geometry.intersect import component
-from renderer.jit import kernel
-from renderer.memory import aligned
-from renderer.vector import Vec3
+from termwise.renderer.geometry.few import Few, few_of
+from termwise.renderer.geometry.intersect import component
+from termwise.renderer.jit import kernel
+from termwise.renderer.memory import aligned
+from termwise.renderer.vector import Vec3
 
 WIDTH = 8
 # A node's entries: 8 low x, 8 low y, 8 low z, 8 high x, y, z, 8 int32 links, 8 unused: 4 whole cache lines.

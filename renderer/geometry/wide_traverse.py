@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.intersect import EDGE_SLACK, FaceRange, Hit, Ray, component
-from renderer.geometry.simd import (
+from termwise.renderer.geometry.bvh import STACK_SIZE
+from termwise.renderer.geometry.intersect import EDGE_SLACK, FaceRange, Hit, Ray, component
+from termwise.renderer.geometry.simd import (
     as_int,
     bits,
     choose,
@@ -39,9 +39,9 @@ from renderer.geometry.simd import (
     store,
     widen,
 )
-from renderer.geometry.wide import FACES, HIGH, LEAF, LINKS, NODE, Wide
-from renderer.jit import device
-from renderer.vector import entry
+from termwise.renderer.geometry.wide import FACES, HIGH, LEAF, LINKS, NODE, Wide
+from termwise.renderer.jit import device
+from termwise.renderer.vector import entry
 
 # Entries of the stack from here on are nodes, their distances, and before both what a packet needs beside.
 NODES, KEYS = STACK_SIZE // 3, 2 * STACK_SIZE // 3

@@ -4,11 +4,11 @@ import re
 from collections.abc import Callable
 from typing import Literal
 
-from renderer.terms import ambient, background, direct, specular
-from renderer.terms.variant import Chain, Function, Variant
-from scenes.limits import Limit
-from scenes.model import Scene
-from scenes.terms import TERMS, Term
+from termwise.renderer.terms import ambient, background, direct, specular
+from termwise.renderer.terms.variant import Chain, Function, Variant
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import TERMS, Term
 
 VARIANTS: dict[Term, dict[str, Variant]] = {
     module.VARIANTS[0].term: {variant.name: variant for variant in module.VARIANTS}

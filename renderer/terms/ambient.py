@@ -17,19 +17,30 @@ from typing import Any
 
 import numpy as np
 
-from renderer.arrays import SceneArrays
-from renderer.film import item_of, most_of, samples_of, see, settle, sights_of_row
-from renderer.geometry.packets import SIZE
-from renderer.jit import device, kernel
-from renderer.photon_map import PhotonMap
-from renderer.scratch import Scratch
-from renderer.sobol import Sampler, sample_2d
-from renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
-from renderer.terms.variant import Chain, Variant
-from renderer.vector import Vec3, column, frame, is_black, mul, put, put_column, scale, to_world, vec3
-from renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
-from scenes.limits import Limit
-from scenes.model import Scene
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.film import item_of, most_of, samples_of, see, settle, sights_of_row
+from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.photon_map import PhotonMap
+from termwise.renderer.scratch import Scratch
+from termwise.renderer.sobol import Sampler, sample_2d
+from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
+from termwise.renderer.terms.variant import Chain, Variant
+from termwise.renderer.vector import (
+    Vec3,
+    column,
+    frame,
+    is_black,
+    mul,
+    put,
+    put_column,
+    scale,
+    to_world,
+    vec3,
+)
+from termwise.renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
 
 OCCLUSION = 1  # the pair of dimensions of the occlusion ray
 # Occlusion rays that leave what one camera ray sees. Rays of their own take 1.1 to 1.6 times as long to the same error

@@ -5,16 +5,16 @@ The paper draws no lights. An emitter shows the radiance of its front side; its 
 
 import numpy as np
 
-from renderer.arrays import SceneArrays
-from renderer.film import accumulate, item_of, see, sights_of_row
-from renderer.geometry.packets import SIZE
-from renderer.jit import kernel
-from renderer.scratch import Scratch
-from renderer.sky import sky_radiance
-from renderer.surface import surface_of
-from renderer.terms.variant import Variant
-from renderer.vector import column, vec3
-from scenes.limits import Limit
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.film import accumulate, item_of, see, sights_of_row
+from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.jit import kernel
+from termwise.renderer.scratch import Scratch
+from termwise.renderer.sky import sky_radiance
+from termwise.renderer.surface import surface_of
+from termwise.renderer.terms.variant import Variant
+from termwise.renderer.vector import column, vec3
+from termwise.scenes.limits import Limit
 
 
 @kernel

@@ -9,32 +9,37 @@ from typing import Literal
 
 import numpy as np
 
-from renderer.arrays import FAINT, SceneArrays
-from renderer.film import (
-    accumulate,
-    item_of,
-    sampler_of,
-    see,
-    settle,
-    sights_of_row,
+from termwise.renderer.arrays import FAINT, SceneArrays
+from termwise.renderer.film import accumulate, item_of, sampler_of, see, settle, sights_of_row
+from termwise.renderer.geometry.intersect import make_ray
+from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.lights import light_irradiance, sample_light
+from termwise.renderer.photon_map import PhotonMap, estimate_irradiance
+from termwise.renderer.photon_search import nearest_irradiance
+from termwise.renderer.photon_tracing import MAX_SURVIVAL
+from termwise.renderer.rng import fold
+from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
+from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
+from termwise.renderer.surface import Surface, put_occlusion_ray, shadowed, surface_of, trace
+from termwise.renderer.terms.variant import Variant
+from termwise.renderer.vector import (
+    Vec3,
+    add,
+    frame,
+    is_black,
+    mad,
+    max_component,
+    mul,
+    put,
+    scale,
+    to_world,
+    vec3,
 )
-from renderer.geometry.intersect import make_ray
-from renderer.geometry.packets import SIZE
-from renderer.jit import device, kernel
-from renderer.lights import light_irradiance, sample_light
-from renderer.photon_map import PhotonMap, estimate_irradiance
-from renderer.photon_search import nearest_irradiance
-from renderer.photon_tracing import MAX_SURVIVAL
-from renderer.rng import fold
-from renderer.scratch import DENSITY_ESTIMATES, Scratch
-from renderer.sobol import Sampler, sample_1d, sample_2d
-from renderer.surface import Surface, put_occlusion_ray, shadowed, surface_of, trace
-from renderer.terms.variant import Variant
-from renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, put, scale, to_world, vec3
-from renderer.warp import INV_PI, square_to_cosine_hemisphere
-from scenes import limits
-from scenes.limits import Kernel, Limit
-from scenes.model import Scene
+from termwise.renderer.warp import INV_PI, square_to_cosine_hemisphere
+from termwise.scenes import limits
+from termwise.scenes.limits import Kernel, Limit
+from termwise.scenes.model import Scene
 
 LIGHT = 2  # the pair that places a sample on a light
 BOUNCE = 4  # the direction of the next vertex of a path

@@ -23,23 +23,23 @@ from typing import Any
 
 import numpy as np
 
-from renderer.arrays import SceneArrays
-from renderer.film import accumulate, item_of, sampler_of, see, sights_of_row
-from renderer.geometry.intersect import make_ray
-from renderer.geometry.packets import SIZE
-from renderer.jit import device, kernel
-from renderer.microfacet import eval_dfg, sample_lobe
-from renderer.photon_map import PhotonMap
-from renderer.rng import fold
-from renderer.scratch import Scratch
-from renderer.sky import sky_radiance
-from renderer.sobol import Sampler, sample_1d, sample_2d
-from renderer.surface import Surface, shadowed, surface_of, trace
-from renderer.terms.ambient import COSINE, ambient_radiance
-from renderer.terms.ambient import PAPER as PAPER_AMBIENT
-from renderer.terms.direct import direct_nearest, direct_next_event, direct_path
-from renderer.terms.variant import Chain, Stored, Variant
-from renderer.vector import (
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.film import accumulate, item_of, sampler_of, see, sights_of_row
+from termwise.renderer.geometry.intersect import make_ray
+from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.microfacet import eval_dfg, sample_lobe
+from termwise.renderer.photon_map import PhotonMap
+from termwise.renderer.rng import fold
+from termwise.renderer.scratch import Scratch
+from termwise.renderer.sky import sky_radiance
+from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
+from termwise.renderer.surface import Surface, shadowed, surface_of, trace
+from termwise.renderer.terms.ambient import COSINE, ambient_radiance
+from termwise.renderer.terms.ambient import PAPER as PAPER_AMBIENT
+from termwise.renderer.terms.direct import direct_nearest, direct_next_event, direct_path
+from termwise.renderer.terms.variant import Chain, Stored, Variant
+from termwise.renderer.vector import (
     Vec3,
     add,
     frame,
@@ -52,9 +52,9 @@ from renderer.vector import (
     to_world,
     vec3,
 )
-from renderer.warp import hemisphere_ring, ring_cosine
-from scenes.limits import Limit
-from scenes.model import Scene
+from termwise.renderer.warp import hemisphere_ring, ring_cosine
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
 
 LOBE = 6  # the pair of dimensions of the lobe's direction
 ROULETTE = 7

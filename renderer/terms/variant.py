@@ -6,10 +6,10 @@ from typing import Any, Literal
 import attrs
 import numpy as np
 
-from renderer.photon_map import PhotonMap
-from scenes.limits import Kernel, Limit
-from scenes.model import Scene
-from scenes.terms import Term
+from termwise.renderer.photon_map import PhotonMap
+from termwise.scenes.limits import Kernel, Limit
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import Term
 
 # What the other terms are at the vertices of a specular chain. Direct is "next-event", the product's default, or
 # "path", the unbiased one that a study of specular variants uses, so that kernel bias cannot leak into its verdict;

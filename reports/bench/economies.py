@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import attrs
 import numpy as np
 
-from renderer import Engine, Variant, find
-from renderer.plan import ECONOMIES, needs_photons, skipped
-from renderer.terms import Chain
-from reports import verdict
-from reports.bench.common import known, machine, positive, spread
-from scenes.load import load
-from scenes.model import Scene
+from termwise.renderer import Engine, Variant, find
+from termwise.renderer.plan import ECONOMIES, needs_photons, skipped
+from termwise.renderer.terms import Chain
+from termwise.reports.bench.common import known, machine, positive, spread
+from termwise.reports.statistics import verdict
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
 
 SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
 ADAPTIVE = "adaptive"

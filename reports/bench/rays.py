@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from renderer.geometry import bvh
-from renderer.geometry.packets import new_group
-from renderer.geometry.rays import any_hits, closest_hits
-from reports.bench.common import BACKEND, known, machine, positive, timed
-from scenes.load import load
+from termwise.renderer.geometry import bvh
+from termwise.renderer.geometry.packets import new_group
+from termwise.renderer.geometry.rays import any_hits, closest_hits
+from termwise.reports.bench.common import BACKEND, known, machine, positive, timed
+from termwise.scenes.load import load
 
 KINDS = ("primary", "diffuse", "shadow", "ao")
 PAIRS = 7
@@ -221,7 +221,7 @@ class Theirs:
     """Mitsuba's side of a case, with or without the robust flag."""
 
     def __init__(self, corners: np.ndarray, *, robust: bool) -> None:
-        from reference.backend import import_mitsuba
+        from termwise.reference.backend import import_mitsuba
 
         self.mi: Any = import_mitsuba(BACKEND)
         mi = self.mi
@@ -297,7 +297,7 @@ def measure(
     only : names of meshes; all if none.
     report : called with (what runs, done, total).
     """
-    from reference.backend import import_mitsuba
+    from termwise.reference.backend import import_mitsuba
 
     positive(pairs=pairs, count=count, threads=1 if threads is None else threads)
     threads = threads or os.cpu_count() or 1

@@ -16,11 +16,11 @@ from typing import Any
 
 import attrs
 
-from renderer.plan import camera_rays
-from renderer.terms.ambient import SPLIT
-from reports.bench.common import known, machine, positive, spread
-from reports.bench.worker import Load
-from scenes.store import PROJECT
+from termwise.renderer.plan import camera_rays
+from termwise.renderer.terms.ambient import SPLIT
+from termwise.reports.bench.common import known, machine, positive, spread
+from termwise.reports.bench.worker import Load
+from termwise.scenes.store import ROOT
 
 RUNS = 5
 _AMBIENT = Load("cornell_box", "ambient")
@@ -83,9 +83,9 @@ class Worker:
     def __init__(self, load: Load) -> None:
         """Start it and wait until it has compiled and run once."""
         self.load = load
-        command = [sys.executable, "-m", "reports.bench.worker", json.dumps(attrs.asdict(load))]
+        command = [sys.executable, "-m", "termwise.reports.bench.worker", json.dumps(attrs.asdict(load))]
         self._process = subprocess.Popen(
-            command, cwd=PROJECT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         self.facts: dict[str, Any] = self._answer()
 

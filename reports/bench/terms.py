@@ -20,18 +20,18 @@ from typing import Any, NamedTuple
 import attrs
 import numpy as np
 
-import reference
-from reference.backend import import_mitsuba
-from renderer import Engine, Variant, find
-from renderer.plan import powers_of_two
-from renderer.terms import Chain
-from reports.bench.common import BACKEND, known, machine, positive, spread
-from reports.bench.curves import leaders, pooled, seconds_to, targets
-from scenes import limits
-from scenes.limits import Limit
-from scenes.load import load
-from scenes.model import Scene
-from scenes.terms import Scope
+from termwise import reference
+from termwise.reference.backend import import_mitsuba
+from termwise.renderer import Engine, Variant, find
+from termwise.renderer.plan import powers_of_two
+from termwise.renderer.terms import Chain
+from termwise.reports.bench.common import BACKEND, known, machine, positive, spread
+from termwise.reports.bench.curves import leaders, pooled, seconds_to, targets
+from termwise.scenes import limits
+from termwise.scenes.limits import Limit
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import Scope
 
 SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
 TERMS = ("ambient", "direct", "specular")
@@ -164,7 +164,7 @@ def cases(scenes: tuple[str, ...], terms: tuple[str, ...], resolution: int) -> I
 
 def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, result: dict[str, Any]) -> None:
     """Append the cases and curves of estimators of one integral."""
-    from reports.bench import yardstick
+    from termwise.reports.bench import yardstick
 
     scene, limit = cases[0].scene, cases[0].limit
     start = time.perf_counter()
@@ -277,7 +277,7 @@ def _theirs(setting: Any, truth: Truth, seconds: float, *, seed: int) -> Curve:
 
     A ladder is climbed as far as the pilot climbed, whatever the machine does beside it.
     """
-    from reports.bench import yardstick
+    from termwise.reports.bench import yardstick
 
     samples, square, spent = [], [], []
     for asked in yardstick.LADDER:

@@ -13,12 +13,12 @@ from typing import Any
 
 import attrs
 
-from reports.bench import common
-from reports.page.pictures import display
-from reports.view.live import Frame, Live
-from reports.view.page import png
-from reports.view.state import State, Steps, get, put
-from scenes.load import load
+from termwise.reports.bench import common
+from termwise.reports.live.live import Frame, Live
+from termwise.reports.live.page import png
+from termwise.reports.live.state import State, Steps, get, put
+from termwise.reports.pages.pictures import display
+from termwise.scenes.load import load
 
 SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
 SIDE = 32

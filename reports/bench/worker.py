@@ -13,11 +13,11 @@ import attrs
 import cattrs
 import numpy as np
 
-from renderer import Engine, find
-from renderer.geometry import bvh
-from reports.bench.rays import ball
-from scenes.load import load
-from scenes.model import Ambient, Camera, Mesh, Object, Scene
+from termwise.renderer import Engine, find
+from termwise.renderer.geometry import bvh
+from termwise.reports.bench.rays import ball
+from termwise.scenes.load import load
+from termwise.scenes.model import Ambient, Camera, Mesh, Object, Scene
 
 
 @attrs.frozen

@@ -26,10 +26,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from reference.film import sensor
-from reference.terms import direct, specular
-from reference.wavefront import UNBOUNDED, Samples
-from scenes.limits import Limit
+from termwise.reference.film import sensor
+from termwise.reference.terms import direct, specular
+from termwise.reference.wavefront import UNBOUNDED, Samples
+from termwise.scenes.limits import Limit
 
 SAMPLERS = ("independent", "multijitter", "orthogonal", "ldsampler")
 # Rays that share a camera ray: a hit found anew costs less than a sixteenth of what 16 do.

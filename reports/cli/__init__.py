@@ -10,7 +10,7 @@ import sys
 
 import cyclopts
 
-from reports.cli import judging, measuring, places, rendering, runs, terminal
+from termwise.reports.cli import judging, measuring, places, rendering, runs, terminal
 
 
 def _line(error: cyclopts.CycloptsError) -> str:
@@ -56,7 +56,7 @@ bench.command(measuring.bench_view, name="view")
 
 def main() -> None:
     """Run the command; every foreseeable fault is one line on standard error and exit status 2."""
-    from reference.backend import BackendError
+    from termwise.reference.backend import BackendError
 
     try:
         status = app(sys.argv[1:], exit_on_error=False)

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from reports.cli import terminal
-from reports.cli.terminal import Flag, Json
+from termwise.reports.cli import terminal
+from termwise.reports.cli.terminal import Flag, Json
 
 
 def judge(
@@ -43,8 +43,8 @@ def judge(
     json_
         Print the verdict as JSON on standard output.
     """
-    from reports import judging
-    from reports.page import judge as page
+    from termwise.reports import judging
+    from termwise.reports.pages import judge as page
 
     files = {name: _files(name, given) for name, given in (("images", images), ("reference", reference))}
     stacks = {name: [_read(path, part) for path in found] for name, found in files.items()}
@@ -90,7 +90,7 @@ def _files(name: str, given: Sequence[Path]) -> list[Path]:
 
 
 def _read(path: Path, part: str | None) -> np.ndarray:
-    from reports.images import read_exr
+    from termwise.reports.results.images import read_exr
 
     if not path.is_file():
         raise ValueError(f"{path}: no such file: allowed are OpenEXR images")

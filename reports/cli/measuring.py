@@ -7,11 +7,10 @@ from typing import Any
 
 from rich.table import Table
 
-from reports import progress
-from reports.cli import terminal
-from reports.cli.terminal import Integer, Json, MaybeInteger, Names, Quiet
-from reports.progress import Report
-from scenes.store import write_atomically
+from termwise.reports.cli import progress, terminal
+from termwise.reports.cli.progress import Report
+from termwise.reports.cli.terminal import Integer, Json, MaybeInteger, Names, Quiet
+from termwise.scenes.store import write_atomically
 
 
 def rays(
@@ -43,7 +42,7 @@ def rays(
     json_
         Print them on standard output.
     """
-    from reports.bench import rays as bench_rays
+    from termwise.reports.bench import rays as bench_rays
 
     measured = _benchmark(
         out,
@@ -119,7 +118,7 @@ def terms(
     json_
         Print them on standard output.
     """
-    from reports.bench import terms as bench_terms
+    from termwise.reports.bench import terms as bench_terms
 
     measured = _benchmark(
         out,
@@ -193,7 +192,7 @@ def scaling(
     json_
         Print them on standard output.
     """
-    from reports.bench import scaling as bench_scaling
+    from termwise.reports.bench import scaling as bench_scaling
 
     measured = _benchmark(
         out,
@@ -260,7 +259,7 @@ def economies(
     json_
         Print them on standard output.
     """
-    from reports.bench import economies as bench_economies
+    from termwise.reports.bench import economies as bench_economies
 
     measured = _benchmark(
         out,
@@ -336,7 +335,7 @@ def bench_view(
     json_
         Print them on standard output.
     """
-    from reports.bench import view as of_view
+    from termwise.reports.bench import view as of_view
 
     measured = _benchmark(
         out,
@@ -407,8 +406,8 @@ def stress(
     json_
         Print them on standard output.
     """
-    from reports import stress as lab
-    from reports.page import stress as page
+    from termwise.reports import stress as lab
+    from termwise.reports.pages import stress as page
 
     measured = _measured(
         out / "stress",
@@ -454,7 +453,7 @@ def _benchmark(
     out: Path, name: str, measure: Callable[[Report], dict[str, Any]], *, quiet: bool, json_: bool
 ) -> dict[str, Any]:
     """Measure one benchmark of OUT/bench."""
-    from reports.page import bench as page
+    from termwise.reports.pages import bench as page
 
     return _measured(out / "bench", name, measure, page.write, quiet=quiet, json_=json_)
 

@@ -9,8 +9,8 @@ import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 
-from reports.cli import terminal
-from reports.cli.terminal import Integer, Json, MaybeInteger
+from termwise.reports.cli import terminal
+from termwise.reports.cli.terminal import Integer, Json, MaybeInteger
 
 
 def inspect(
@@ -48,8 +48,8 @@ def inspect(
     json_
         Print the branch as JSON on standard output.
     """
-    from reports import microscope
-    from reports.run import plain
+    from termwise.reports.results import microscope
+    from termwise.reports.run import plain
 
     if (x is None) != (y is None):
         raise ValueError(f"{'x' if x is None else 'y'}: is missing: allowed are both x and y, or none")
@@ -163,11 +163,12 @@ def replay(
     json_
         Print all samples as JSON on standard output.
     """
-    from renderer.replay import replay as replayed
-    from renderer.terms import find
-    from reports import microscope, subjects
-    from reports import study as studies
-    from reports.run import plain
+    from termwise.renderer.replay import replay as replayed
+    from termwise.renderer.terms import find
+    from termwise.reports.results import microscope
+    from termwise.reports.run import plain
+    from termwise.reports.study import study as studies
+    from termwise.reports.study import subjects
 
     estimator = find(term, variant)
     chosen = studies.load(study)

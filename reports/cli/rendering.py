@@ -7,11 +7,10 @@ from typing import Any
 import attrs
 from rich.table import Table
 
-from reports import progress
-from reports.cli import terminal
-from reports.cli.terminal import Flag, Integer, Json, MaybeInteger, Quiet, Resolution
-from scenes.load import library, load
-from scenes.terms import TERMS
+from termwise.reports.cli import progress, terminal
+from termwise.reports.cli.terminal import Flag, Integer, Json, MaybeInteger, Quiet, Resolution
+from termwise.scenes.load import library, load
+from termwise.scenes.terms import TERMS
 
 
 def render(
@@ -59,7 +58,7 @@ def render(
     json_
         Print what was rendered as JSON on standard output.
     """
-    import renderer
+    from termwise import renderer
 
     described = terminal.scene(scene, resolution)
     terminal.check_seed(seed)
@@ -150,8 +149,8 @@ def reference(
     json_
         Print what was rendered as JSON on standard output.
     """
-    import reference as mitsuba
-    from scenes import limits
+    from termwise import reference as mitsuba
+    from termwise.scenes import limits
 
     terminal.choose_backend(backend)
     described = terminal.scene(scene, resolution)
@@ -164,8 +163,8 @@ def reference(
         if term in (None, each)
     }
     if export is not None:
-        from reference.backend import active
-        from reference.export import export as write
+        from termwise.reference.backend import active
+        from termwise.reference.export import export as write
 
         write(described, dict(wanted), export, spp=spp, seed=seed, replicates=replicates)
         script = export / "render.py"
@@ -195,9 +194,9 @@ def _write_images(
     scene: Any, found: dict[str, Any], folder: Path, settings: dict[str, Any], as_json: bool
 ) -> int:
     """Write term images and their sum; report means and seconds."""
-    from reports.images import write_exr
-    from reports.page.pictures import write_png
-    from scenes.terms import total
+    from termwise.reports.pages.pictures import write_png
+    from termwise.reports.results.images import write_exr
+    from termwise.scenes.terms import total
 
     parts = {term: image.mean for term, image in found.items()}
     if len(parts) == len(TERMS):
@@ -251,8 +250,8 @@ def plan(
     json_
         Print the plan as JSON on standard output.
     """
-    from renderer.plan import plan as steps_of
-    from renderer.terms import find
+    from termwise.renderer.plan import plan as steps_of
+    from termwise.renderer.terms import find
 
     if samples < 1:
         raise ValueError(f"samples = {samples}: allowed is at least 1")
@@ -329,7 +328,7 @@ def view(
     out
         What is saved goes to OUT/view, nothing elsewhere.
     """
-    from reports.view.page import serve
+    from termwise.reports.live.page import serve
 
     def announce(address: str) -> None:
         terminal.output.print(f"termwise view: {address} (Ctrl-C ends it)", highlight=False)

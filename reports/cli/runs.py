@@ -10,10 +10,9 @@ from typing import Annotated, Any, Literal
 import attrs
 from cyclopts import Parameter
 
-from reports import progress
-from reports.cli import terminal
-from reports.cli.terminal import Flag, Json, MaybeInteger, Quiet
-from scenes.strict import FileError
+from termwise.reports.cli import progress, terminal
+from termwise.reports.cli.terminal import Flag, Json, MaybeInteger, Quiet
+from termwise.scenes.strict import FileError
 
 
 def _duration(_kind: Any, tokens: Any) -> float:
@@ -63,8 +62,10 @@ def compare(
     json_
         Print results.json on standard output; no progress.
     """
-    from reports import page, run, subjects
-    from reports import study as studies
+    from termwise.reports import pages as page
+    from termwise.reports import run
+    from termwise.reports.study import study as studies
+    from termwise.reports.study import subjects
 
     mitsuba = terminal.choose_backend(backend)
     if estimators is not None:
@@ -99,7 +100,7 @@ def compare(
         terminal.messages.print("Nothing has changed since the last run: no cell was computed.")
     index = folder / "index.html"
     if single_file:
-        from reports.page import single
+        from termwise.reports.pages import single
 
         index = single.write(folder)
     if json_:
@@ -197,9 +198,9 @@ def diff(
     json_
         Print the differences as JSON on standard output.
     """
-    from reports import stored
-    from reports.diff import diff as compared
-    from reports.page import diff as page
+    from termwise.reports.pages import diff as page
+    from termwise.reports.results import schema as stored
+    from termwise.reports.results.diff import diff as compared
 
     found = compared(stored.read(run_a), stored.read(run_b)) | {
         "runs": [str(run_a), str(run_b)],
@@ -254,7 +255,7 @@ def _print_diff(found: dict[str, Any]) -> None:
 
 def _change(measure: str, change: dict[str, Any] | None) -> str:
     """A change and half its interval, named and coloured where it is proven."""
-    from reports.diff import said
+    from termwise.reports.results.diff import said
 
     if change is None:
         return ""
@@ -298,8 +299,8 @@ def figure(
     out
         The file to write, .pdf or .svg.
     """
-    from reports import figure as figures
-    from reports import stored
+    from termwise.reports.pages import figure as figures
+    from termwise.reports.results import schema as stored
 
     figures.write(stored.read(run), scene=scene, term=term, kind=kind, path=out)
     terminal.output.print(str(out), soft_wrap=True, highlight=False)

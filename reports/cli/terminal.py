@@ -10,8 +10,8 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from scenes.load import load
-from scenes.model import Scene
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
 
 messages = Console(stderr=True, soft_wrap=True)
 output = Console()
@@ -57,7 +57,7 @@ def check_seed(seed: int) -> None:
 
 def choose_backend(requested: str | None) -> str:
     """Mitsuba's variant: the one requested, else the fastest that runs here."""
-    from reference import backend
+    from termwise.reference import backend
 
     return backend.choose(requested).variant
 

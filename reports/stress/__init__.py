@@ -1,7 +1,7 @@
 """The numerical stress lab: exact and analytic properties under hostile input, ours beside the paper's and Mitsuba's.
 
 Each module is a group; its `rows(count)` gives `Row`s, whose figures are measured when they are asked for.
-`reports.page.stress` makes a page of what `measure` returns.
+`reports.pages.stress` makes a page of what `measure` returns.
 """
 
 import time
@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
 
-from reports.bench.common import known, machine, positive
-from reports.stress import garbage, intersection, photons, radiance, rounding, shading
-from reports.stress.row import SIDES, Row
-from reports.stress.row import measure as measure_row
+from termwise.reports.bench.common import known, machine, positive
+from termwise.reports.stress import garbage, intersection, photons, radiance, rounding, shading
+from termwise.reports.stress.row import SIDES, Row
+from termwise.reports.stress.row import measure as measure_row
 
 GROUPS: dict[str, ModuleType] = {
     "intersection": intersection,

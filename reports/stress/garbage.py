@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from renderer import render_terms
-from reports.stress.row import Row
-from scenes.load import load
-from scenes.model import Camera, Mesh, Object, PointLight, Scene
+from termwise.renderer import render_terms
+from termwise.reports.stress.row import Row
+from termwise.scenes.load import load
+from termwise.scenes.model import Camera, Mesh, Object, PointLight, Scene
 
 VALUES = (
     "nan",

@@ -17,11 +17,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import trimesh
 
-from renderer.geometry import bvh
-from reports.bench.rays import ball
-from reports.stress import exact, tracers
-from reports.stress.row import Row
-from reports.stress.tracers import Found, Trace
+from termwise.renderer.geometry import bvh
+from termwise.reports.bench.rays import ball
+from termwise.reports.stress import exact, tracers
+from termwise.reports.stress.row import Row
+from termwise.reports.stress.tracers import Found, Trace
 
 # Of the distance, with room for 1 / cos up to 1e6: a hundred roundings are 1e-14.
 PRECISION = 1e-9

@@ -14,17 +14,17 @@ from concurrent.futures import ThreadPoolExecutor
 import attrs
 import numpy as np
 
-from renderer.arrays import SceneArrays, from_scene
-from renderer.photon_map import PhotonMap, build, empty, estimate_irradiance
-from renderer.photon_search import nearest_irradiance
-from renderer.photon_tracing import Scattering, emit
-from renderer.rng import root
-from renderer.scratch import new_scratch
-from renderer.surface import Surface
-from renderer.vector import Vec3
-from reports.stress.row import Row
-from scenes.analytic import closed_box, plate
-from scenes.model import Camera, Mesh, Object, Photons, PointLight, Scene
+from termwise.renderer.arrays import SceneArrays, from_scene
+from termwise.renderer.photon_map import PhotonMap, build, empty, estimate_irradiance
+from termwise.renderer.photon_search import nearest_irradiance
+from termwise.renderer.photon_tracing import Scattering, emit
+from termwise.renderer.rng import root
+from termwise.renderer.scratch import new_scratch
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3
+from termwise.reports.stress.row import Row
+from termwise.scenes.analytic import closed_box, plate
+from termwise.scenes.model import Camera, Mesh, Object, Photons, PointLight, Scene
 
 _UP = Vec3(0.0, 0.0, 1.0)
 NEAREST = 50

@@ -13,16 +13,16 @@ from fractions import Fraction
 import attrs
 import numpy as np
 
-import reference
-from renderer import render
-from renderer.film import accumulate
-from renderer.jit import kernel
-from renderer.vector import Vec3
-from reports.stress.row import Row
-from scenes.analytic import closed_box, disc_over_plane, furnace, plate, rectangle_light
-from scenes.limits import correct
-from scenes.model import Camera, Object, Scene, Sky
-from scenes.terms import Term
+from termwise import reference
+from termwise.renderer import render
+from termwise.renderer.film import accumulate
+from termwise.renderer.jit import kernel
+from termwise.renderer.vector import Vec3
+from termwise.reports.stress.row import Row
+from termwise.scenes.analytic import closed_box, disc_over_plane, furnace, plate, rectangle_light
+from termwise.scenes.limits import correct
+from termwise.scenes.model import Camera, Object, Scene, Sky
+from termwise.scenes.terms import Term
 
 _ADDITIONS = 10**8
 Image = Callable[[Scene, Term], np.ndarray]

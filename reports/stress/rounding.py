@@ -25,12 +25,12 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from renderer import Engine, find
-from renderer.arrays import from_scene
-from renderer.geometry.bvh import Tree
-from reports.stress.row import Row
-from scenes.load import load
-from scenes.model import Mesh, Scene
+from termwise.renderer import Engine, find
+from termwise.renderer.arrays import from_scene
+from termwise.renderer.geometry.bvh import Tree
+from termwise.reports.stress.row import Row
+from termwise.scenes.load import load
+from termwise.scenes.model import Mesh, Scene
 
 UNIT, LEVER = 2.0**-52, 2.0**-30
 DRAWS = 8

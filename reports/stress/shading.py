@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from renderer import render
-from renderer.microfacet import eval_lobe, sample_lobe, sample_visible_normal, smith_g1
-from renderer.terms.specular import PAPER, sample_variant
-from renderer.vector import Vec3, frame
-from reports.stress.row import Row
-from scenes.analytic import glossy_sphere
+from termwise.renderer import render
+from termwise.renderer.microfacet import eval_lobe, sample_lobe, sample_visible_normal, smith_g1
+from termwise.renderer.terms.specular import PAPER, sample_variant
+from termwise.renderer.vector import Vec3, frame
+from termwise.reports.stress.row import Row
+from termwise.scenes.analytic import glossy_sphere
 
 ALPHAS = (1e-4, 0.01, 0.3, 1.5)
 COSINES = tuple(10.0**-power for power in (0, 1, 2, 4, 6, 8, 10, 12))
@@ -76,12 +76,12 @@ def _mitsuba_samples(
     alpha: float, wo: Vec3, points: np.ndarray, f0: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Directions (N, 3) and weights (N,) of the references' own BSDF."""
-    from reference.backend import import_mitsuba
+    from termwise.reference.backend import import_mitsuba
 
     mi: Any = import_mitsuba()
     import drjit as dr  # after Mitsuba has chosen its LLVM
 
-    from reference import bsdf
+    from termwise.reference import bsdf
 
     bsdf.register()
     lobe = mi.load_dict({"type": "cook_torrance", "alpha": alpha, "f0": mi.ScalarColor3f(f0), "factor": 1.0})

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from renderer.geometry import bvh, paper, rays, traverse
-from renderer.geometry.bvh import STACK_SIZE, Tree
-from renderer.geometry.intersect import FaceRange, make_ray
-from renderer.geometry.packets import SIZE, Group, new_group
-from renderer.jit import kernel
-from renderer.vector import put_column, vec3
+from termwise.renderer.geometry import bvh, paper, rays, traverse
+from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
+from termwise.renderer.geometry.intersect import FaceRange, make_ray
+from termwise.renderer.geometry.packets import SIZE, Group, new_group
+from termwise.renderer.jit import kernel
+from termwise.renderer.vector import put_column, vec3
 
 
 class Found(NamedTuple):
@@ -172,7 +172,7 @@ def all_faces(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, 
 
 def embree(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray) -> Found:
     """Mitsuba's, with its robust flag, in float32. A ray that leaves a face begins at Mitsuba's own offset from it."""
-    from reference.backend import import_mitsuba
+    from termwise.reference.backend import import_mitsuba
 
     mi: Any = import_mitsuba()
     import drjit as dr  # after Mitsuba has chosen its LLVM

@@ -20,11 +20,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from reports import progress
-from reports.page import copy_static, page_environment, render_page
-from reports.run import plain, versions
-from reports.verdict import LEVEL, POWER
-from scenes.store import write_atomically
+from termwise.reports.cli import progress
+from termwise.reports.pages import copy_static, page_environment, render_page
+from termwise.reports.run import plain, versions
+from termwise.reports.statistics.verdict import LEVEL, POWER
+from termwise.scenes.store import write_atomically
 from tests.audit import faults, nulls
 from tests.audit.nulls import Alarms
 from tests.audit.plants import PLANTS

@@ -21,10 +21,10 @@ from queue import SimpleQueue
 import attrs
 import numpy as np
 
-from reference import store
-from renderer import find
-from reports.verdict import WORDS, decide, measure
-from scenes.store import PROJECT, cache_folder, sources_digest, write_atomically
+from termwise.reference import store
+from termwise.renderer import find
+from termwise.reports.statistics.verdict import WORDS, decide, measure
+from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
 from tests.audit import worker
 from tests.audit.plants import Plant
 from tests.audit.worker import Case
@@ -98,7 +98,8 @@ class Tree:
         """Copy the sources."""
         for package in _COPIED:
             ignored = shutil.ignore_patterns("__pycache__")
-            shutil.copytree(PROJECT / package, self.root / package, ignore=ignored)
+            shutil.copytree(ROOT / package, self.root / "termwise" / package, ignore=ignored)
+        (self.root / "termwise" / "__init__.py").touch()
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -115,8 +116,8 @@ class Tree:
         RuntimeError
             The copy cannot be rendered: the process says why. A crash catches nothing.
         """
-        fault = None if plant is None else (plant.path, plant.changed(PROJECT))
-        sources = [sources_digest(PROJECT / package) for package in _COPIED]
+        fault = None if plant is None else (plant.path, plant.changed(ROOT))
+        sources = [sources_digest(ROOT / package) for package in _COPIED]
         content = case.build().digest(), Path(worker.__file__).read_text("utf-8")
         name = repr((attrs.astuple(case), content, sources, fault, self.seed, REPLICATES))
         path = cache_folder() / "audit" / f"{hashlib.sha256(name.encode()).hexdigest()}.npy"
@@ -126,7 +127,7 @@ class Tree:
 
     def _render(self, case: Case, fault: tuple[str, str] | None, images: Path) -> None:
         if fault is not None:
-            path = self.root / fault[0]
+            path = self.root / "termwise" / fault[0]
             path.write_text(fault[1], "utf-8")
         environment = os.environ | {
             "PYTHONPATH": str(self.root),
@@ -146,7 +147,7 @@ class Tree:
         finally:
             if fault is not None:
                 # With its time of change: by that Numba knows which kernels are still good.
-                shutil.copy2(PROJECT / fault[0], self.root / fault[0])
+                shutil.copy2(ROOT / fault[0], self.root / "termwise" / fault[0])
         if done.returncode:
             raise RuntimeError(f"{case}: {done.stderr.strip().splitlines()[-1]}")
 
@@ -179,7 +180,7 @@ def run(
         As `Tree.replicates`; all plants are tried against the sources before anything is rendered.
     """
     for plant in plants:
-        plant.changed(PROJECT)
+        plant.changed(ROOT)
     cases = tuple(dict.fromkeys(plant.case for plant in plants))
     work: list[tuple[Plant | None, Case]] = [(None, case) for case in cases]
     work += [(plant, plant.case) for plant in plants]

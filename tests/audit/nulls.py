@@ -13,10 +13,10 @@ from concurrent.futures import ProcessPoolExecutor
 import attrs
 import numpy as np
 
-from renderer import Engine, find
-from reports.verdict import LEVEL, decide, measure
-from scenes.load import load
-from scenes.store import PROJECT, cache_folder, sources_digest, write_atomically
+from termwise.renderer import Engine, find
+from termwise.reports.statistics.verdict import LEVEL, decide, measure
+from termwise.scenes.load import load
+from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
 from tests.verdict.synthetic import picture, replicates
 
 REPLICATES = 16
@@ -121,7 +121,7 @@ def _replicates(row: Rendered, count: int, seed: int) -> np.ndarray:
     """(count, SIDE, SIDE, 3) float32, kept in the cache by content."""
     scene = load(row.scene)
     scene = attrs.evolve(scene, resolution=(SIDE, SIDE), photons=attrs.evolve(scene.photons, count=_PHOTONS))
-    sources = sources_digest(PROJECT / "renderer", PROJECT / "scenes")
+    sources = sources_digest(ROOT / "renderer", ROOT / "scenes")
     name = hashlib.sha256(repr((row, scene.digest(), count, seed, sources)).encode()).hexdigest()
     path = cache_folder() / "audit" / f"{name}.npy"
     if not path.is_file():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from scenes.store import PROJECT
+from termwise.scenes.store import ROOT
 from tests.audit import __main__ as command
 from tests.audit import faults, nulls
 from tests.audit.plants import BACKGROUND, PLANTS
@@ -22,7 +22,7 @@ GAIN = next(plant for plant in PLANTS if plant.name == "1 % gain")
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.name)
 def test_every_plant_fits_the_sources(plant):
     """Each text is there exactly once, and the fault changes it."""
-    assert plant.changed(PROJECT) != (PROJECT / plant.path).read_text("utf-8")
+    assert plant.changed(ROOT) != (ROOT / plant.path).read_text("utf-8")
 
 
 def test_plants_are_enough_and_have_names_of_their_own():
@@ -34,20 +34,20 @@ def test_plants_are_enough_and_have_names_of_their_own():
 def test_a_plant_that_does_not_fit_is_an_error(before):
     """Sources that have moved on must not turn into a fault that is never planted, or planted twice."""
     with pytest.raises(ValueError, match=r"1 % gain.*matches: allowed is exactly one"):
-        attrs.evolve(GAIN, before=before).changed(PROJECT)
+        attrs.evolve(GAIN, before=before).changed(ROOT)
 
 
 def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tmp_path, monkeypatch):
     """The gain is exact, the sources stay as they are, and what follows in the same copy has no fault."""
     monkeypatch.setenv("TERMWISE_CACHE", str(tmp_path))
-    source = (PROJECT / GAIN.path).read_bytes()
+    source = (ROOT / GAIN.path).read_bytes()
     with faults.Tree(seed=3) as tree:
         fault = tree.replicates(TINY, GAIN)
         sound = tree.replicates(TINY)
         assert (tree.root / GAIN.path).read_bytes() == source
     assert fault.shape == (faults.REPLICATES, 4, 4, 3)
     np.testing.assert_allclose(fault, 1.01 * sound, rtol=1e-6)
-    assert (PROJECT / GAIN.path).read_bytes() == source
+    assert (ROOT / GAIN.path).read_bytes() == source
 
 
 def test_a_crash_catches_nothing(tmp_path, monkeypatch):

@@ -11,10 +11,10 @@ from pathlib import Path
 import attrs
 import numpy as np
 
-import renderer
-from renderer import Engine, find
-from scenes.load import load
-from scenes.model import Scene
+from termwise import renderer
+from termwise.renderer import Engine, find
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
 
 _LOBES = {
     "glossy": {"gloss": 0.5, "roughness": 0.6, "f0": (0.04, 0.04, 0.04)},

@@ -21,17 +21,17 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from renderer import render_terms
-from reports.images import read_exr
-from reports.page.pictures import display
-from scenes.load import load
-from scenes.model import Scene
-from scenes.terms import TERMS, total
+from termwise.renderer import render_terms
+from termwise.reports.pages.pictures import display
+from termwise.reports.results.images import read_exr
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import TERMS, total
 
 # Everything is waited for until it is there; what has not come by then never will, however busy the machine.
 WAIT_S = 300
 expect.set_options(timeout=1000 * WAIT_S)
-COMMAND = [sys.executable, "-c", "from reports.cli import main; main()"]
+COMMAND = [sys.executable, "-c", "from termwise.reports.cli import main; main()"]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def folder(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def small(folder) -> Path:
     """A scene that renders in no time."""
-    from scenes.save import save
+    from termwise.scenes.save import save
 
     save(attrs.evolve(load("cornell_box"), resolution=(40, 24)), folder / "small.toml")
     return folder / "small.toml"

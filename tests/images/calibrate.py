@@ -18,8 +18,10 @@ import attrs
 import numpy as np
 import xarray
 
-from reports import metrics, run, study, subjects
-from scenes.load import load
+from termwise.reports import run
+from termwise.reports.statistics import metrics
+from termwise.reports.study import study, subjects
+from termwise.scenes.load import load
 
 HERE = Path(__file__).parent
 SEEDS = 1001, 1002

@@ -19,14 +19,18 @@ import pytest
 import xarray
 from PIL import Image
 
-from reports import cells, images, metrics, run, study, subjects, verdict
-from reports.page import p_maps, pictures
-from scenes.load import load
-from scenes.model import Scene
-from scenes.store import PROJECT, cache_folder
+from termwise.reports import run
+from termwise.reports.jobs import cells
+from termwise.reports.pages import p_maps, pictures
+from termwise.reports.results import images
+from termwise.reports.statistics import metrics, verdict
+from termwise.reports.study import study, subjects
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
+from termwise.scenes.store import ROOT, cache_folder
 
 HERE = Path(__file__).parent
-FAILED = PROJECT / "out" / "failed"
+FAILED = ROOT / "out" / "failed"
 THRESHOLDS = tomllib.loads((HERE / "thresholds.toml").read_text("utf-8"))
 STUDY = study.load(HERE / "study.toml")
 
@@ -97,7 +101,7 @@ def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureR
         for name, image in (("ours", ours), ("reference", reference), ("error", ours - reference)):
             images.write_exr(folder / f"{name}.exr", {name: image}, {"software": "termwise", "scene": scene})
         pictures.write_png(folder / "ours.png", ours, exposure=exposure)
-        pictures.write_png(folder / "reference.png", reference, exposure=exposure)
+        pictures.write_png(folder / "termwise.reference.png", reference, exposure=exposure)
         cell, (height, width, _) = measured.cells[scene, term], ours.shape
 
         def leave(name: str, pixels: np.ndarray) -> str:

@@ -7,8 +7,8 @@ import json
 
 import pytest
 
-from reports import cli
-from reports.bench import rays
+from termwise.reports import cli
+from termwise.reports.bench import rays
 
 KEYS = {"mesh", "triangles", "kind", "ours_mrays", "mitsuba_mrays", "ratio", "ratio_low", "ratio_high"}
 

@@ -10,11 +10,11 @@ import attrs
 import numpy as np
 import pytest
 
-import reference
-from reference.backend import active, import_mitsuba
-from reports import cli
-from scenes import limits
-from scenes.load import load
+from termwise import reference
+from termwise.reference.backend import active, import_mitsuba
+from termwise.reports import cli
+from termwise.scenes import limits
+from termwise.scenes.load import load
 
 CASE = {"scene", "term", "scope", "variant", "target_rmse", "ours_s", "mitsuba_s", "mitsuba_setting"}
 CASE |= {"speedup", "speedup_low", "speedup_high"}
@@ -43,7 +43,7 @@ def test_every_setting_converges_to_the_reference(name, term, scope, step):
     The noisiest, chains with independent samples, have a standard error of about 1 %. Chains take long to compile: of
     theirs every third setting, which has each number of occlusion rays.
     """
-    from reports.bench import yardstick
+    from termwise.reports.bench import yardstick
 
     scene, limit = attrs.evolve(load(name), resolution=(16, 16)), limits.correct(term, scope)
     truth = np.mean([reference.replicate(scene, limit, spp=256, seed=0, replicate=k) for k in range(2)])

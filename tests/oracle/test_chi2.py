@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from scipy import special
 
-from reference.backend import import_mitsuba
-from renderer.microfacet import pdf_lobe, sample_lobe, sample_visible_normal
-from renderer.vector import Vec3
-from renderer.warp import (
+from termwise.reference.backend import import_mitsuba
+from termwise.renderer.microfacet import pdf_lobe, sample_lobe, sample_visible_normal
+from termwise.renderer.vector import Vec3
+from termwise.renderer.warp import (
     hemisphere_ring,
     square_to_cosine_hemisphere,
     square_to_cosine_hemisphere_pdf,

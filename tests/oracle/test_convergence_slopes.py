@@ -16,14 +16,14 @@ import math
 import numpy as np
 import pytest
 
-from renderer import Engine, find, photon_map, photon_tracing
-from renderer.rng import root
-from renderer.sobol import Sampler, sample_2d
-from reports import closed_forms
-from reports.convergence import fit, mean_square_error
-from scenes.analytic import furnace, plate
-from scenes.limits import correct
-from scenes.model import Camera, Material, Photons, PointLight, Scene
+from termwise.renderer import Engine, find, photon_map, photon_tracing
+from termwise.renderer.rng import root
+from termwise.renderer.sobol import Sampler, sample_2d
+from termwise.reports.statistics.convergence import fit, mean_square_error
+from termwise.reports.study import closed_forms
+from termwise.scenes.analytic import furnace, plate
+from termwise.scenes.limits import correct
+from termwise.scenes.model import Camera, Material, Photons, PointLight, Scene
 
 
 def prefixes(

@@ -10,8 +10,11 @@ import attrs
 import numpy as np
 import pytest
 
-from renderer.terms import VARIANTS
-from reports import cells, exact, run, study, verdict
+from termwise.renderer.terms import VARIANTS
+from termwise.reports import run
+from termwise.reports.jobs import cells
+from termwise.reports.statistics import verdict
+from termwise.reports.study import exact, study
 
 STUDY = study.Study(
     scenes=("monkey",),

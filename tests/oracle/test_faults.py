@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenes.store import PROJECT, cache_folder
+from termwise.scenes.store import ROOT, cache_folder
 
 SCENE = """
 resolution = [8, 6]
@@ -57,7 +57,8 @@ direct = 2
 # A process that ends itself by SIGKILL in place of its Nth rename: beside what it has finished lies a temporary file.
 CODE = """
 import os, pathlib, signal, sys
-from reports import cli, run
+from termwise.reports import cli
+from termwise.reports import run
 last, cache = int(sys.argv.pop(1)), pathlib.Path(sys.argv.pop(1))
 rename, count = pathlib.Path.replace, 0
 
@@ -90,7 +91,7 @@ def start(files: Path, *, last: int = 0, before: tuple[str, ...] = ()) -> subpro
     arguments = [str(last), str(files / "cache"), "compare", "--quiet", "--study", str(files / "study.toml")]
     return subprocess.Popen(
         [*before, sys.executable, "-c", CODE, *arguments, "--out", str(files / "out")],
-        cwd=PROJECT,
+        cwd=ROOT,
         env=os.environ | {"TERMWISE_CACHE": str(cache_folder())},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from renderer import render
-from renderer.tiles import Engine
-from reports import kernel_bias
-from reports.convergence import relative_error
-from scenes.analytic import plate
-from scenes.model import Camera, Photons, PointLight, Scene
+from termwise.renderer import render
+from termwise.renderer.tiles import Engine
+from termwise.reports.statistics.convergence import relative_error
+from termwise.reports.study import kernel_bias
+from termwise.scenes.analytic import plate
+from termwise.scenes.model import Camera, Photons, PointLight, Scene
 
 
 def test_the_interior_has_the_bias_of_the_laplacian():

@@ -23,15 +23,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import renderer
-from renderer import VARIANTS
-from renderer.plan import skipped
-from reports import cli
-from reports.images import read_exr
-from scenes.analytic import closed_box
-from scenes.load import library, load
-from scenes.model import Color, Mesh, Object, PointLight, Scene, Vector
-from scenes.terms import TERMS, Term, total
+from termwise import renderer
+from termwise.renderer import VARIANTS
+from termwise.renderer.plan import skipped
+from termwise.reports import cli
+from termwise.reports.results.images import read_exr
+from termwise.scenes.analytic import closed_box
+from termwise.scenes.load import library, load
+from termwise.scenes.model import Color, Mesh, Object, PointLight, Scene, Vector
+from termwise.scenes.terms import TERMS, Term, total
 
 LATTICE = 2.0**-10
 SAMPLES = 4

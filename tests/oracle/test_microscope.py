@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import xarray
 
-from reports import cli, microscope, run
+from termwise.reports import cli, run
+from termwise.reports.results import microscope
 
 SCENE = """
 max_bounces = 1

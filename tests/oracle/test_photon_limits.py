@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 import trimesh
 
-import reference
-from reference import backend, density
-from renderer import render
-from renderer.arrays import from_scene
-from renderer.photon_map import build, estimate_irradiance, progressive_radius
-from renderer.scratch import new_scratch
-from renderer.surface import Surface
-from renderer.vector import Vec3
-from reports.convergence import extrapolate
-from reports.verdict import Estimate
-from scenes import limits
-from scenes.analytic import plate, unit_sphere
-from scenes.load import load
-from scenes.model import Camera, Material, Mesh, Object, Photons, PointLight, Scene
+from termwise import reference
+from termwise.reference import backend, density
+from termwise.renderer import render
+from termwise.renderer.arrays import from_scene
+from termwise.renderer.photon_map import build, estimate_irradiance, progressive_radius
+from termwise.renderer.scratch import new_scratch
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3
+from termwise.reports.statistics.convergence import extrapolate
+from termwise.reports.statistics.verdict import Estimate
+from termwise.scenes import limits
+from termwise.scenes.analytic import plate, unit_sphere
+from termwise.scenes.load import load
+from termwise.scenes.model import Camera, Material, Mesh, Object, Photons, PointLight, Scene
 
 SCRATCH = new_scratch()
 UP = Vec3(0.0, 0.0, 1.0)

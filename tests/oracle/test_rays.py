@@ -11,15 +11,15 @@ import pytest
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from reference.geometry import first_hits, geometry
-from renderer import Engine
-from renderer.arrays import from_scene
-from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.intersect import NOTHING, make_ray
-from renderer.geometry.rays import any_hit, closest_hit
-from renderer.vector import Vec3
-from scenes.load import library, load
-from scenes.model import Camera, Mesh, Object, Scene
+from termwise.reference.geometry import first_hits, geometry
+from termwise.renderer import Engine
+from termwise.renderer.arrays import from_scene
+from termwise.renderer.geometry.bvh import STACK_SIZE
+from termwise.renderer.geometry.intersect import NOTHING, make_ray
+from termwise.renderer.geometry.rays import any_hit, closest_hit
+from termwise.renderer.vector import Vec3
+from termwise.scenes.load import library, load
+from termwise.scenes.model import Camera, Mesh, Object, Scene
 
 
 def ours(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

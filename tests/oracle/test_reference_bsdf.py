@@ -9,11 +9,11 @@ import scipy.stats
 from scipy.integrate import dblquad
 from scipy.special import erf
 
-from reference.backend import active, import_mitsuba
+from termwise.reference.backend import active, import_mitsuba
 
 mi = import_mitsuba()
 dr = importlib.import_module("drjit")
-from reference import bsdf  # noqa: E402  subclasses Mitsuba's plugins
+from termwise.reference import bsdf  # noqa: E402  subclasses Mitsuba's plugins
 
 pytestmark = pytest.mark.skipif(active().variant == "scalar_rgb", reason="needs a vectorised variant")
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import reference
-from reference.export import export
-from reference.native import fetched_folder
-from scenes.limits import Kernel, Limit, correct, physical
-from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky
+from termwise import reference
+from termwise.reference.export import export
+from termwise.reference.native import fetched_folder
+from termwise.scenes.limits import Kernel, Limit, correct, physical
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky
 
 
 def wall(*, smooth: bool) -> Scene:

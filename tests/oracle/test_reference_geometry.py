@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-import reference
-from reference.geometry import geometry
-from scenes.model import Camera, Mesh, Object, Scene
+from termwise import reference
+from termwise.reference.geometry import geometry
+from termwise.scenes.model import Camera, Mesh, Object, Scene
 
 
 def brute_force(scene: Scene, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 
-import reference
-from reference import backend
-from scenes.limits import physical
-from scenes.model import Camera, Material, Mesh, Object, PointLight, Scene, Sky
+from termwise import reference
+from termwise.reference import backend
+from termwise.scenes.limits import physical
+from termwise.scenes.model import Camera, Material, Mesh, Object, PointLight, Scene, Sky
 
 GLOSSY = Material(color=(0.8, 0.6, 0.3), gloss=0.5, roughness=0.3, f0=(1.0, 0.8, 0.5))
 TEXTURE = np.random.default_rng(0).random((8, 16, 3)).astype(np.float32)
@@ -49,8 +49,8 @@ def test_parts_add_up_to_plain_path(sky):
     parts = [reference.replicate_parts(scene, limit, spp=spp, seed=1, replicate=k) for k in range(count)]
     sums = np.array([np.sum(list(part.values()), axis=0).mean(axis=(0, 1), dtype=float) for part in parts])
 
-    from reference.terms import direct
-    from reference.wavefront import pixel_means
+    from termwise.reference.terms import direct
+    from termwise.reference.wavefront import pixel_means
 
     here = reference.loaded(scene)
     plain = direct.reflected(here.scenes["physical"], here.description["depths"]["physical"])

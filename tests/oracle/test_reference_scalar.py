@@ -9,11 +9,11 @@ import attrs
 import numpy as np
 import pytest
 
-import reference
-from reference import backend
-from scenes.limits import Kernel, Limit, correct, physical
-from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky
-from scenes.store import PROJECT
+from termwise import reference
+from termwise.reference import backend
+from termwise.scenes.limits import Kernel, Limit, correct, physical
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky
+from termwise.scenes.store import ROOT
 
 LIMITS = {
     "ambient": correct("ambient", "all"),
@@ -70,7 +70,7 @@ def test_scalar_agrees_with_the_vectorised_backend():
     """Two-sample z per channel over 8 replicates each, at the level that 21 tests need."""
     done = subprocess.run(
         [sys.executable, __file__],
-        env=os.environ | {"TERMWISE_BACKEND": "scalar_rgb", "PYTHONPATH": str(PROJECT)},
+        env=os.environ | {"TERMWISE_BACKEND": "scalar_rgb", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
     )

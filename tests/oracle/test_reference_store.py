@@ -4,10 +4,10 @@ import attrs
 import numpy as np
 import pytest
 
-import reference
-from reference import store
-from scenes.limits import Limit, correct, physical
-from scenes.model import Ambient, Camera, Mesh, Object, PointLight, Scene, Sky
+from termwise import reference
+from termwise.reference import store
+from termwise.scenes.limits import Limit, correct, physical
+from termwise.scenes.model import Ambient, Camera, Mesh, Object, PointLight, Scene, Sky
 
 
 @pytest.fixture(scope="module")

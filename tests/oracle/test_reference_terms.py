@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-import reference
-from reports import closed_forms
-from scenes.analytic import furnace
-from scenes.limits import Limit, correct, physical
-from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky, Toggles
+from termwise import reference
+from termwise.reports.study import closed_forms
+from termwise.scenes.analytic import furnace
+from termwise.scenes.limits import Limit, correct, physical
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky, Toggles
 
 WHITE = (1.0, 1.0, 1.0)
 SEED = 7
@@ -113,7 +113,7 @@ def inside(material: Material, **changes) -> Scene:
 def test_direct_first_hit_inside_a_sphere():
     """L = rho/π · I h / d³ at distance d on a facet whose plane is h away: .5 on the sphere itself, no noise."""
     scene = inside(Material(color=(0.5, 0.5, 0.5)))
-    from reference.geometry import geometry
+    from termwise.reference.geometry import geometry
 
     hits = geometry(scene)
     axis = (np.arange(32) + 0.5) / 32
@@ -262,7 +262,7 @@ def test_background_is_the_sky_and_the_front_of_drawn_lights():
     film = np.stack(np.meshgrid((np.arange(48) + 0.5) / 48, (np.arange(32) + 0.5) / 32), axis=-1)
     directions = camera.rays(film, aspect=1.5)
     expected = looked_up(sky, np.broadcast_to(camera.position, directions.shape), directions)
-    from reference.geometry import geometry
+    from termwise.reference.geometry import geometry
 
     hit = geometry(scene).object == 0
     assert 0.01 < hit.mean() < 0.5
@@ -291,7 +291,7 @@ def test_lights_are_black_surfaces_in_every_term():
         resolution=(32, 32),
         scope="first-hit",
     )
-    from reference.geometry import geometry
+    from termwise.reference.geometry import geometry
 
     on_lamp = geometry(scene).object == 1
     assert on_lamp.any()
@@ -384,11 +384,11 @@ def test_seeds(cubes):
 
 def test_passes_split_a_replicate_without_changing_its_mean(cubes, monkeypatch):
     """Three passes of 16, 16 and 8 samples estimate what one pass of 40 does."""
-    import reference.wavefront
+    from termwise.reference import wavefront
 
     limit = correct("ambient", "all")
     whole = reference.render(cubes, limit, spp=40, seed=1, replicates=8)
-    monkeypatch.setattr(reference.wavefront, "WIDTH", 16 * 32 * 32)
+    monkeypatch.setattr(wavefront, "WIDTH", 16 * 32 * 32)
     split = reference.render(cubes, limit, spp=40, seed=2, replicates=8)
     deviation = np.abs((split.mean - whole.mean).sum(axis=(0, 1)))
     assert (deviation < 4.5 * np.sqrt((split.variance + whole.variance).sum(axis=(0, 1)))).all()

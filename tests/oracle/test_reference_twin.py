@@ -5,16 +5,15 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-import reference
-import renderer
-from reference import density
-from reference.density import POWERS, Photons, Points, by_kernel, by_nearest, mass, triangle_mass
-from reference.translate import Canonical
-from reports import verdict
-from scenes.analytic import closed_box, plate
-from scenes.limits import Kernel, Limit
-from scenes.load import load
-from scenes.model import Camera, Material, Mesh, Object, PointLight, Scene, Vector
+from termwise import reference, renderer
+from termwise.reference import density
+from termwise.reference.density import POWERS, Photons, Points, by_kernel, by_nearest, mass, triangle_mass
+from termwise.reference.translate import Canonical
+from termwise.reports.statistics import verdict
+from termwise.scenes.analytic import closed_box, plate
+from termwise.scenes.limits import Kernel, Limit
+from termwise.scenes.load import load
+from termwise.scenes.model import Camera, Material, Mesh, Object, PointLight, Scene, Vector
 
 # Bias of each kernel is so much of r² ΔE: half its second moment along an axis.
 COEFFICIENTS = {"uniform": 1 / 8, "epanechnikov": 1 / 12, "simpson": 1 / 16}
@@ -230,7 +229,7 @@ def test_photons_of_other_surfaces_never_count():
 
 def traced(scene: Scene, maps: int, count: int, **options) -> list[Photons]:
     loaded = reference.loaded(scene)
-    from reference import twin
+    from termwise.reference import twin
 
     surfaces = twin.surfaces_of(loaded.scenes["direct"])
     return [twin.trace(surfaces, np.random.default_rng((11, k)), count=count, **options) for k in range(maps)]
@@ -372,7 +371,7 @@ def test_scale_changes_nothing(kernel):
 def test_radii_of_the_passes():
     """r²_i = r²_1 prod_{j<i} (j + 2/3) / (j + 1): maps as many as passes take each radius once."""
     reference.loaded(closed_box())
-    from reference import twin
+    from termwise.reference import twin
 
     kernel = attrs.asdict(Kernel("simpson", radius=0.3, passes=5))
     squares = [0.09]

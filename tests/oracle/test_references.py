@@ -7,12 +7,15 @@ import attrs
 import numpy as np
 import pytest
 
-import reference
-from reference import backend, store
-from reports import references, run, study, subjects, verdict
-from scenes.limits import Limit, correct, physical
-from scenes.load import load
-from scenes.model import Scene
+from termwise import reference
+from termwise.reference import backend, store
+from termwise.reports import run
+from termwise.reports.statistics import verdict
+from termwise.reports.study import audits as references
+from termwise.reports.study import study, subjects
+from termwise.scenes.limits import Limit, correct, physical
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
 
 NAMES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
 TERMS = ("ambient", "direct", "specular")
@@ -76,7 +79,7 @@ def test_a_wrong_weight_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     backend.import_mitsuba()
     import drjit as dr
 
-    from reference.bsdf import CookTorrance
+    from termwise.reference.bsdf import CookTorrance
 
     right = CookTorrance.sample
 

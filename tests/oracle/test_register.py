@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 import termwise
-from renderer.terms import VARIANTS, find, registered
-from reports import cli, run, study, subjects
-from scenes.limits import Limit
-from scenes.load import load
-from scenes.store import PROJECT
+from termwise.renderer.terms import VARIANTS, find, registered
+from termwise.reports import cli, run
+from termwise.reports.study import study, subjects
+from termwise.scenes.limits import Limit
+from termwise.scenes.load import load
+from termwise.scenes.store import ROOT
 
-EXAMPLE = PROJECT / "examples" / "gamma_space.py"
+EXAMPLE = ROOT / "examples" / "gamma_space.py"
 
 
 @pytest.fixture(autouse=True)
@@ -104,7 +105,7 @@ def test_a_run_with_python_estimators_is_never_taken_for_an_old_one():
 
 
 def test_replicates_have_seeds_of_their_own_and_prefixes_share_them():
-    from renderer import Engine
+    from termwise.renderer import Engine
 
     asked = []
 

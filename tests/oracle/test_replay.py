@@ -7,11 +7,11 @@ import attrs
 import numpy as np
 import pytest
 
-from renderer import VARIANTS, Engine
-from renderer.replay import Replay, replay
-from renderer.terms import Chain, Variant
-from scenes.load import load
-from scenes.model import Scene
+from termwise.renderer import VARIANTS, Engine
+from termwise.renderer.replay import Replay, replay
+from termwise.renderer.terms import Chain, Variant
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
 
 SETTINGS: dict[str, Any] = {"samples": 4, "seed": 5, "replicate": 3}
 

@@ -20,10 +20,12 @@ import OpenEXR
 import pytest
 import xarray
 
-from reports import cells, cli, run, study, subjects
-from reports.images import read_exr
-from scenes.store import PROJECT, cache_folder
-from scenes.terms import TERMS
+from termwise.reports import cli, run
+from termwise.reports.jobs import cells
+from termwise.reports.results.images import read_exr
+from termwise.reports.study import study, subjects
+from termwise.scenes.store import ROOT, cache_folder
+from termwise.scenes.terms import TERMS
 
 # Every term but background, which is absent; a floor under a lamp, half of it out of the picture.
 SCENE = """
@@ -319,7 +321,7 @@ def test_term_images_have_named_parts_and_provenance(first: Finished, results: d
     assert {"ambient.cosine", "direct.path", "specular.vndf", "background.seen", "total.default"} <= set(
         parts
     )
-    assert {"reference.total", "reference.total physical"} <= set(parts)
+    assert {"termwise.reference.total", "reference.total physical"} <= set(parts)
     assert all(image.shape == (9, 12, 3) for image in parts.values())
     with OpenEXR.File(str(path)) as file:
         header = file.header()
@@ -606,7 +608,7 @@ def _process(
     arguments = ["compare", "--quiet", "--study", str(files / study_file), "--out", str(files / out)]
     return subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
-        cwd=PROJECT,
+        cwd=ROOT,
         env=os.environ | {"TERMWISE_CACHE": str(cache_folder())},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

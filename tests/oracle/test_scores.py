@@ -11,13 +11,14 @@ import attrs
 import numpy as np
 from scipy import stats
 
-import reference
-from renderer import VARIANTS, Engine, find
-from renderer.terms import Variant
-from reports import closed_forms, verdict
-from scenes.analytic import furnace
-from scenes.load import load
-from scenes.terms import Term
+from termwise import reference
+from termwise.renderer import VARIANTS, Engine, find
+from termwise.renderer.terms import Variant
+from termwise.reports.statistics import verdict
+from termwise.reports.study import closed_forms
+from termwise.scenes.analytic import furnace
+from termwise.scenes.load import load
+from termwise.scenes.terms import Term
 
 # The fewest of which a variance is asked, 4 a side: fat tails, which a normal distribution would not fit.
 REPLICATES = 4

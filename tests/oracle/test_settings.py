@@ -10,20 +10,19 @@ import attrs
 import numpy as np
 import pytest
 
-import reference
-import renderer
-from renderer.geometry import bvh, paper, traverse
-from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.intersect import NOTHING, make_ray
-from renderer.terms import Chain, find
-from renderer.vector import Vec3
-from reports.study import Study
-from reports.subjects import Subject, changed, own_limit
-from reports.verdict import judge
-from scenes.analytic import plate
-from scenes.limits import Limit
-from scenes.load import load
-from scenes.model import Ambient, Camera, Color, Material, Mesh, Object, PointLight, Scene
+from termwise import reference, renderer
+from termwise.renderer.geometry import bvh, paper, traverse
+from termwise.renderer.geometry.bvh import STACK_SIZE
+from termwise.renderer.geometry.intersect import NOTHING, make_ray
+from termwise.renderer.terms import Chain, find
+from termwise.renderer.vector import Vec3
+from termwise.reports.statistics.verdict import judge
+from termwise.reports.study.study import Study
+from termwise.reports.study.subjects import Subject, changed, own_limit
+from termwise.scenes.analytic import plate
+from termwise.scenes.limits import Limit
+from termwise.scenes.load import load
+from termwise.scenes.model import Ambient, Camera, Color, Material, Mesh, Object, PointLight, Scene
 
 
 def grey(value: float) -> Color:

@@ -4,14 +4,13 @@ import attrs
 import numpy as np
 import pytest
 
-import reference
-import renderer
-from renderer.terms import find
-from reports.verdict import judge
-from scenes.analytic import plate
-from scenes.limits import Limit
-from scenes.load import load
-from scenes.model import Ambient, Camera, Color, Material, Object, PointLight, Scene, Toggles
+from termwise import reference, renderer
+from termwise.renderer.terms import find
+from termwise.reports.statistics.verdict import judge
+from termwise.scenes.analytic import plate
+from termwise.scenes.limits import Limit
+from termwise.scenes.load import load
+from termwise.scenes.model import Ambient, Camera, Color, Material, Object, PointLight, Scene, Toggles
 
 COLOR, GLOSS, AMBIENT = 0.6, 0.25, 0.5
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from renderer import Engine, find
-from renderer.adaptive import SIDE, shares
-from renderer.film import Tile
-from scenes.analytic import plate
-from scenes.load import load
-from scenes.model import Camera, Material, Scene, Sky
+from termwise.renderer import Engine, find
+from termwise.renderer.adaptive import SIDE, shares
+from termwise.renderer.film import Tile
+from termwise.scenes.analytic import plate
+from termwise.scenes.load import load
+from termwise.scenes.model import Camera, Material, Scene, Sky
 
 TILES = [Tile(0, 0, 4, 4), Tile(4, 0, 8, 4), Tile(0, 4, 4, 8), Tile(4, 4, 8, 8)]
 
@@ -70,7 +70,7 @@ def test_a_constant_sky_takes_one_sample(compiled, monkeypatch):
         given.append(shares(*arguments))
         return given[-1]
 
-    monkeypatch.setattr("renderer.tiles.shares", spied)
+    monkeypatch.setattr("termwise.renderer.tiles.shares", spied)
     with Engine(scene, threads=2, adaptive=True, without=("window",)) as engine:
         *_, (_, image, _) = engine.prefixes(find("background"), samples=16, seed=1, replicate=0)
     assert (given[0] == 0.0).sum() == 20

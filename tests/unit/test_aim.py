@@ -12,18 +12,18 @@ import attrs
 import numpy as np
 import pytest
 
-from renderer import Engine, Variant, find
-from renderer.aim import cone
-from renderer.arrays import emitters_of, from_scene
-from renderer.photon_map import PhotonMap
-from renderer.photon_tracing import Scattering, emit
-from renderer.plan import plan
-from renderer.rng import root
-from renderer.scratch import new_scratch
-from scenes.analytic import closed_box, plate
-from scenes.load import load
-from scenes.model import Camera, Material, PointLight, Scene
-from scenes.terms import TERMS, Term
+from termwise.renderer import Engine, Variant, find
+from termwise.renderer.aim import cone
+from termwise.renderer.arrays import emitters_of, from_scene
+from termwise.renderer.photon_map import PhotonMap
+from termwise.renderer.photon_tracing import Scattering, emit
+from termwise.renderer.plan import plan
+from termwise.renderer.rng import root
+from termwise.renderer.scratch import new_scratch
+from termwise.scenes.analytic import closed_box, plate
+from termwise.scenes.load import load
+from termwise.scenes.model import Camera, Material, PointLight, Scene
+from termwise.scenes.terms import TERMS, Term
 
 
 def emitted(scene: Scene, index: int, count: int, *, aimed: bool, independent: bool = False) -> PhotonMap:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from reference import backend, native
+from termwise.reference import backend, native
 
 
 @pytest.fixture(autouse=True)
@@ -206,7 +206,7 @@ def test_missing_libatomic_is_named(monkeypatch):
 def test_the_first_import_decides_for_the_process():
     """In a process of its own: this one keeps its variant for other tests."""
     code = (
-        "from reference.backend import import_mitsuba, active\n"
+        "from termwise.reference.backend import import_mitsuba, active\n"
         "print(import_mitsuba('scalar_rgb').variant(), import_mitsuba().variant(), active().variant)\n"
         "import_mitsuba('llvm_ad_rgb')"
     )
@@ -216,6 +216,6 @@ def test_the_first_import_decides_for_the_process():
 
 
 def test_neither_module_imports_mitsuba():
-    code = "import sys, reference.backend; print({'mitsuba', 'drjit'} & set(sys.modules))"
+    code = "import sys, termwise.reference.backend; print({'mitsuba', 'drjit'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "set()"

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from reports import cli
-from reports.bench import common, curves, economies, scaling, terms, view
-from reports.bench.worker import Load
-from reports.page import bench as page
-from reports.progress import silent
-from scenes.terms import TERMS
+from termwise.reports import cli
+from termwise.reports.bench import common, curves, economies, scaling, terms, view
+from termwise.reports.bench.worker import Load
+from termwise.reports.cli.progress import silent
+from termwise.reports.pages import bench as page
+from termwise.scenes.terms import TERMS
 
 MACHINE = {"processor": "a <fast> one", "cores": 2, "threads": 2, "load": 0.5, "versions": {"python": "3.11"}}
 

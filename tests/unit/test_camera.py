@@ -4,11 +4,11 @@ import attrs
 import numpy as np
 import pytest
 
-from renderer.arrays import PIXEL_RULES, from_scene
-from renderer.camera import CENTRE, CORNER, FILM, JITTER, camera_ray
-from renderer.rng import root
-from renderer.sobol import Sampler, sample_2d
-from scenes.model import Camera, Scene
+from termwise.renderer.arrays import PIXEL_RULES, from_scene
+from termwise.renderer.camera import CENTRE, CORNER, FILM, JITTER, camera_ray
+from termwise.renderer.rng import root
+from termwise.renderer.sobol import Sampler, sample_2d
+from termwise.scenes.model import Camera, Scene
 
 CAMERA = Camera((0.3, -2.0, 1.5), (0.1, 0.7, 0.2), up=(0.2, 0.1, 1.0), fov=71.0, near=0.37)
 

@@ -8,12 +8,12 @@ import attrs
 import numpy as np
 import pytest
 
-from renderer import DEFAULTS, render
-from renderer.scratch import COUNTERS
-from renderer.terms import VARIANTS
-from reports import cells
-from scenes.load import load
-from scenes.model import Photons, PointLight, Scene
+from termwise.renderer import DEFAULTS, render
+from termwise.renderer.scratch import COUNTERS
+from termwise.renderer.terms import VARIANTS
+from termwise.reports.jobs import cells
+from termwise.scenes.load import load
+from termwise.scenes.model import Photons, PointLight, Scene
 
 SAMPLES, REPLICATES = 4, 3
 

@@ -9,8 +9,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from reports import cli
-from reports.images import read_exr, write_exr
+from termwise.reports import cli
+from termwise.reports.results.images import read_exr, write_exr
 
 SCENE = """
 [camera]
@@ -432,7 +432,7 @@ def test_judge_needs_colour(run: Command):
 def test_budgets_are_read_in_seconds_minutes_and_hours(
     text: str, seconds: float, run: Command, monkeypatch: pytest.MonkeyPatch
 ):
-    from reports import run as runs
+    from termwise.reports import run as runs
 
     asked = []
 

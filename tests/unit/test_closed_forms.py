@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from reports import closed_forms
-from scenes.limits import Limit
-from scenes.model import Material
+from termwise.reports.study import closed_forms
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Material
 
 WHITE = (1.0, 1.0, 1.0)
 CORRECT = Limit("specular")

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports import cli, diff, tiles
+from termwise.reports import cli
+from termwise.reports.results import diff
+from termwise.reports.statistics import tiles
 
 KEYS = [("room", "ambient", "cosine"), ("room", "direct", "path"), ("room", "direct", "paper")]
 KEYS += [("room", "specular", name) for name in ("vndf", "uniform")] + [("room", "total", "default")]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from reports import figure
+from termwise.reports.pages import figure
 
 SAMPLES = [1, 2, 4, 8]
 

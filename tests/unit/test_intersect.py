@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderer.geometry import bvh, traverse
-from renderer.geometry.bvh import STACK_SIZE
-from renderer.geometry.intersect import FaceRange, Hit, intersect_triangle, make_ray
-from renderer.geometry.rays import any_hit, closest_hit
-from renderer.vector import Vec3
+from termwise.renderer.geometry import bvh, traverse
+from termwise.renderer.geometry.bvh import STACK_SIZE
+from termwise.renderer.geometry.intersect import FaceRange, Hit, intersect_triangle, make_ray
+from termwise.renderer.geometry.rays import any_hit, closest_hit
+from termwise.renderer.vector import Vec3
 
 
 class Soup:

@@ -13,12 +13,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from renderer.arrays import from_scene
-from renderer.microfacet import beckmann_d, pdf_lobe, sample_lobe, sample_visible_normal, smith_g1
-from renderer.surface import point_on_face
-from renderer.terms.specular import UNIFORM, sample_variant
-from renderer.vector import Vec3
-from renderer.warp import (
+from termwise.renderer.arrays import from_scene
+from termwise.renderer.microfacet import beckmann_d, pdf_lobe, sample_lobe, sample_visible_normal, smith_g1
+from termwise.renderer.surface import point_on_face
+from termwise.renderer.terms.specular import UNIFORM, sample_variant
+from termwise.renderer.vector import Vec3
+from termwise.renderer.warp import (
     hemisphere_ring,
     square_to_cosine_hemisphere,
     square_to_cosine_hemisphere_pdf,
@@ -26,8 +26,8 @@ from renderer.warp import (
     square_to_uniform_cone,
     square_to_uniform_sphere,
 )
-from scenes.analytic import plate
-from scenes.model import Camera, Object, Scene
+from termwise.scenes.analytic import plate
+from termwise.scenes.model import Camera, Object, Scene
 
 H = 1e-5
 WHITE = Vec3(1.0, 1.0, 1.0)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from renderer.geometry.simd import available
-from renderer.jit import closure_digest
+from termwise.renderer.geometry.simd import available
+from termwise.renderer.jit import closure_digest
 
 pytestmark = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compilation is what is tested"
@@ -30,8 +30,11 @@ def copy(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("project")
     for package in ("renderer", "scenes"):
         shutil.copytree(
-            PROJECT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__", "library")
+            PROJECT / package,
+            folder / "termwise" / package,
+            ignore=shutil.ignore_patterns("__pycache__", "library"),
         )
+    (folder / "termwise" / "__init__.py").touch()
     return folder
 
 
@@ -62,19 +65,20 @@ def test_an_edited_callee_in_another_module_is_compiled_anew(copy):
     """
     code = """
 import numpy as np
-from renderer.arrays import from_scene
-from renderer.camera import camera_ray
-from renderer.rng import root
-from renderer.sobol import Sampler
-from scenes.model import Camera, Scene
+from termwise.renderer.arrays import from_scene
+from termwise.renderer.camera import camera_ray
+from termwise.renderer.rng import root
+from termwise.renderer.sobol import Sampler
+from termwise.scenes.model import Camera
+from termwise.scenes.model import Scene
 scene = Scene("s", Camera((0., 0., 0.), (0., 1., 0.), pixel="corner"), resolution=(4, 4))
 print(camera_ray(from_scene(scene).camera, 1, 3, Sampler(root(0, 0), np.uint32(0))).direction.x)
 """
     before = run(copy, code)
     mad = "return Vec3(a.x * s + b.x, a.y * s + b.y, a.z * s + b.z)"
-    edit(copy / "renderer/vector.py", mad, mad.replace("a.x * s + b.x", "a.x * s - b.x"))
+    edit(copy / "termwise/renderer/vector.py", mad, mad.replace("a.x * s + b.x", "a.x * s - b.x"))
     edited = run(copy, code)
-    edit(copy / "renderer/vector.py", mad.replace("a.x * s + b.x", "a.x * s - b.x"), mad)
+    edit(copy / "termwise/renderer/vector.py", mad.replace("a.x * s + b.x", "a.x * s - b.x"), mad)
     assert edited != before
     assert run(copy, code) == before
 
@@ -86,13 +90,14 @@ def test_functions_of_kernels_can_be_called_by_python_too(copy):
     """
     calls = """
 import numpy as np
-from renderer.rng import fold, root
+from termwise.renderer.rng import fold
+from termwise.renderer.rng import root
 print(int(root(1, 2)), int(fold(np.uint64(3), 4)))
 """
     kernel = """
 import attrs
-from renderer import render
-from scenes.analytic import disc_over_plane
+from termwise.renderer import render
+from termwise.scenes.analytic import disc_over_plane
 scene = attrs.evolve(disc_over_plane(height=1.0, radius=1.0, sides=3), resolution=(1, 1))
 print(render(scene, "ambient", samples=1).mean.sum())
 """
@@ -105,10 +110,13 @@ print(render(scene, "ambient", samples=1).mean.sum())
 
 def test_digest_changes_with_what_a_module_reaches_and_nothing_else(copy):
     """Editing `sky` changes the digests of `sky` and of terms that import it, not those of `camera` and `vector`."""
-    code = "from renderer.jit import closure_digest as d; print(*(d(f'renderer.{m}') for m in {0!r}.split()))"
+    code = (
+        "from termwise.renderer.jit import closure_digest as d; "
+        "print(*(d(f'termwise.renderer.{m}') for m in {0!r}.split()))"
+    )
     modules = "vector camera sky terms.ambient terms.specular"
     before = run(copy, code.replace("{0!r}", repr(modules))).split()
-    with (copy / "renderer/sky.py").open("a") as file:
+    with (copy / "termwise/renderer/sky.py").open("a") as file:
         file.write("# a comment\n")
     after = run(copy, code.replace("{0!r}", repr(modules))).split()
     changed = {name for name, a, b in zip(modules.split(), before, after, strict=True) if a != b}
@@ -117,7 +125,9 @@ def test_digest_changes_with_what_a_module_reaches_and_nothing_else(copy):
 
 def test_digest_covers_transitive_imports():
     """`terms.specular` reaches `vector` through others too, and modules that share no import differ."""
-    digests = {name: closure_digest(f"renderer.{name}") for name in ("vector", "rng", "terms.specular")}
+    digests = {
+        name: closure_digest(f"termwise.renderer.{name}") for name in ("vector", "rng", "terms.specular")
+    }
     assert len(set(digests.values())) == 3
 
 
@@ -141,9 +151,9 @@ def test_kernels_compile_only_when_their_term_runs(copy):
     """After one ambient render no kernel of another term and no photon kernel is compiled; skips compile nothing."""
     code = """
 import attrs
-from renderer import render
-from renderer.jit import compiled_kernels
-from scenes.analytic import disc_over_plane
+from termwise.renderer import render
+from termwise.renderer.jit import compiled_kernels
+from termwise.scenes.analytic import disc_over_plane
 scene = attrs.evolve(disc_over_plane(height=1.0, radius=1.0, sides=3), resolution=(1, 1))
 for term in ("direct", "specular", "background"):
     render(scene, term, samples=1)

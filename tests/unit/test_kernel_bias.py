@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderer.arrays import Geometry, from_scene
-from reports import kernel_bias
-from reports.convergence import relative_error
-from scenes.analytic import plate
-from scenes.model import Camera, Mesh, Object, Scene
+from termwise.renderer.arrays import Geometry, from_scene
+from termwise.reports.statistics.convergence import relative_error
+from termwise.reports.study import kernel_bias
+from termwise.scenes.analytic import plate
+from termwise.scenes.model import Camera, Mesh, Object, Scene
 
 FLOOR = plate("floor", (-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
 

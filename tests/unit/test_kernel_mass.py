@@ -10,12 +10,18 @@ import pytest
 import trimesh
 from scipy import integrate
 
-from renderer.arrays import SceneArrays, from_scene
-from renderer.geometry.bvh import STACK_SIZE
-from renderer.kernel_mass import EXPONENTS, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, face_mass, kernel_mass
-from renderer.vector import Vec3
-from scenes.analytic import plate, sphere_inside
-from scenes.model import Camera, Material, Mesh, Object, Scene
+from termwise.renderer.arrays import SceneArrays, from_scene
+from termwise.renderer.geometry.bvh import STACK_SIZE
+from termwise.renderer.kernel_mass import (
+    EXPONENTS,
+    MAX_PLANE_DISTANCE,
+    MIN_NORMAL_COSINE,
+    face_mass,
+    kernel_mass,
+)
+from termwise.renderer.vector import Vec3
+from termwise.scenes.analytic import plate, sphere_inside
+from termwise.scenes.model import Camera, Material, Mesh, Object, Scene
 
 STACK = np.empty(STACK_SIZE, np.int32)
 SHAPES = ("uniform", "epanechnikov", "simpson")

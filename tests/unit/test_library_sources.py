@@ -12,7 +12,7 @@ import OpenEXR
 import pytest
 import trimesh
 
-from scenes.load import LIBRARY, library, load
+from termwise.scenes.load import LIBRARY, library, load
 
 DIGITS = 0.51e-4  # the scene files give four decimals
 

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderer import Engine, find
-from renderer.arrays import MANY_EMITTERS, from_scene
-from renderer.lights import _bound, _pick_by_light, pick
-from renderer.plan import ECONOMIES
-from renderer.surface import Surface
-from renderer.vector import Vec3
-from scenes.load import load
-from scenes.model import Camera, Material, Mesh, Object, PointLight, Scene
+from termwise.renderer import Engine, find
+from termwise.renderer.arrays import MANY_EMITTERS, from_scene
+from termwise.renderer.lights import _bound, _pick_by_light, pick
+from termwise.renderer.plan import ECONOMIES
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3
+from termwise.scenes.load import load
+from termwise.scenes.model import Camera, Material, Mesh, Object, PointLight, Scene
 
 FLOOR = Mesh.from_arrays([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]])
 # A pinhole that sees the origin alone.

@@ -7,7 +7,7 @@ itself judged by images whose distance is known by hand.
 import numpy as np
 import pytest
 
-from reports.metrics import encode, relative_mse, rmse, ssim
+from termwise.reports.statistics.metrics import encode, relative_mse, rmse, ssim
 
 FLAT = np.full((16, 12, 3), 2.0)
 

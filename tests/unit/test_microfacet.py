@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from renderer.microfacet import (
+from termwise.renderer.microfacet import (
     _visible_slope,
     beckmann_d,
     eval_dfg,
@@ -24,7 +24,7 @@ from renderer.microfacet import (
     sample_visible_normal,
     smith_g1,
 )
-from renderer.terms.specular import (
+from termwise.renderer.terms.specular import (
     PAPER,
     PAPER_CODE,
     PAPER_CODE_NO_PI,
@@ -33,8 +33,8 @@ from renderer.terms.specular import (
     VNDF,
     sample_variant,
 )
-from renderer.vector import Vec3
-from renderer.warp import hemisphere_ring, ring_cosine
+from termwise.renderer.vector import Vec3
+from termwise.renderer.warp import hemisphere_ring, ring_cosine
 
 ALPHAS = [0.05, 0.1, 0.3, 0.6, 1.0]
 COSINES = [1.0, 0.999, 0.7, 0.3, 0.05]

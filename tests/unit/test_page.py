@@ -15,11 +15,13 @@ import xarray
 from PIL import Image
 from scipy import stats
 
-from renderer.scratch import COUNTERS
-from renderer.terms import VARIANTS
-from reports import cells, images, page
-from reports.page import charts, digits, method, pictures
-from scenes.limits import Limit
+from termwise.renderer.scratch import COUNTERS
+from termwise.renderer.terms import VARIANTS
+from termwise.reports import pages as page
+from termwise.reports.jobs import cells
+from termwise.reports.pages import charts, digits, method, pictures
+from termwise.reports.results import images
+from termwise.scenes.limits import Limit
 
 VERDICTS = ["EQUIVALENT", "BIASED", "AS PREDICTED", "NOT AS PREDICTED", "UNDERPOWERED", "ABSENT", None]
 SIZE = 48

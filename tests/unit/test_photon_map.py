@@ -15,18 +15,18 @@ import trimesh
 from scipy import integrate
 from scipy.spatial import KDTree
 
-from renderer import photon_map
-from renderer.arrays import SceneArrays, from_scene
-from renderer.kernel_mass import EXPONENTS, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, kernel_mass
-from renderer.photon_map import build, empty, estimate_irradiance, progressive_radius
-from renderer.photon_search import nearest_irradiance
-from renderer.photon_tracing import Scattering, emit
-from renderer.rng import root
-from renderer.scratch import new_scratch
-from renderer.surface import Surface
-from renderer.vector import Vec3
-from scenes.analytic import closed_box, plate, unit_sphere
-from scenes.model import Camera, Material, Mesh, Object, PointLight, Scene
+from termwise.renderer import photon_map
+from termwise.renderer.arrays import SceneArrays, from_scene
+from termwise.renderer.kernel_mass import EXPONENTS, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, kernel_mass
+from termwise.renderer.photon_map import build, empty, estimate_irradiance, progressive_radius
+from termwise.renderer.photon_search import nearest_irradiance
+from termwise.renderer.photon_tracing import Scattering, emit
+from termwise.renderer.rng import root
+from termwise.renderer.scratch import new_scratch
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3
+from termwise.scenes.analytic import closed_box, plate, unit_sphere
+from termwise.scenes.model import Camera, Material, Mesh, Object, PointLight, Scene
 
 SCRATCH = new_scratch()
 UP = Vec3(0.0, 0.0, 1.0)

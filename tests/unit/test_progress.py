@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from reports import progress
+from termwise.reports.cli import progress
 
 
 def shown(monkeypatch, *, terminal, quiet=False):

@@ -7,7 +7,8 @@ import shlex
 import h5netcdf
 import pytest
 
-from reports import provenance, stored
+from termwise.reports.results import provenance
+from termwise.reports.results import schema as stored
 
 
 def results(command):

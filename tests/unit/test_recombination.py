@@ -8,11 +8,11 @@ import attrs
 import numpy as np
 import pytest
 
-import renderer
-from renderer.plan import skipped
-from scenes.load import load
-from scenes.model import Scene
-from scenes.terms import TERMS, total
+from termwise import renderer
+from termwise.renderer.plan import skipped
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import TERMS, total
 
 ROUNDING = 1e-12
 

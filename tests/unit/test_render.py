@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy import special
 
-import renderer
-from renderer import VARIANTS, Engine, photon_map, render, tiles
-from renderer.plan import plan, skipped
-from renderer.scratch import SEEN_BYTES
-from scenes.analytic import (
+from termwise import renderer
+from termwise.renderer import VARIANTS, Engine, photon_map, render, tiles
+from termwise.renderer.plan import plan, skipped
+from termwise.renderer.scratch import SEEN_BYTES
+from termwise.scenes.analytic import (
     closed_box,
     disc_over_plane,
     furnace,
@@ -23,10 +23,10 @@ from scenes.analytic import (
     rectangle_light,
     unit_sphere,
 )
-from scenes.limits import Kernel
-from scenes.load import library, load
-from scenes.model import Ambient, Camera, Photons, PointLight, Scene, Sky, Toggles
-from scenes.terms import TERMS, Term
+from termwise.scenes.limits import Kernel
+from termwise.scenes.load import library, load
+from termwise.scenes.model import Ambient, Camera, Photons, PointLight, Scene, Sky, Toggles
+from termwise.scenes.terms import TERMS, Term
 
 
 def replicate_means(scene: Scene, term: str, count: int, **options) -> np.ndarray:
@@ -604,7 +604,7 @@ def test_the_plan_counts_the_camera_rays_that_are_shared(compiled, monkeypatch):
     variants: dict[Term, renderer.Variant] = {term: renderer.find(term) for term in TERMS}
     for room in (64, 6):
         kept = room * width * height * SEEN_BYTES
-        monkeypatch.setattr("renderer.plan.KEPT_BYTES", kept)
+        monkeypatch.setattr("termwise.renderer.plan.KEPT_BYTES", kept)
         planned = {
             step.term: step.saved["rays"]
             for step in plan(scene, variants, samples=16, together=True)

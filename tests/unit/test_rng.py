@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from renderer.rng import fold, mix, root, stream
-from renderer.sobol import Sampler, sample_1d
+from termwise.renderer.rng import fold, mix, root, stream
+from termwise.renderer.sobol import Sampler, sample_1d
 
 
 def hashes(count: int) -> np.ndarray:

@@ -13,9 +13,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes.load import library, load
-from scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Sky
-from scenes.strict import FileError
+from termwise.scenes.load import library, load
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Sky
+from termwise.scenes.strict import FileError
 
 CAMERA = "[camera]\nposition = [0.0, -3.0, 1.0]\ntarget = [0.0, 0.0, 0.0]\n"
 OBJECT = '[[objects]]\nname = "a"\nshape = "box"\nsize = [1.0, 1.0, 1.0]\n'

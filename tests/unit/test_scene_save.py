@@ -6,10 +6,21 @@ import attrs
 import numpy as np
 import pytest
 
-from scenes import analytic
-from scenes.load import library, load
-from scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Sky, Toggles
-from scenes.save import save
+from termwise.scenes import analytic
+from termwise.scenes.load import library, load
+from termwise.scenes.model import (
+    Ambient,
+    Camera,
+    Material,
+    Mesh,
+    Object,
+    Photons,
+    PointLight,
+    Scene,
+    Sky,
+    Toggles,
+)
+from termwise.scenes.save import save
 
 
 def everything() -> Scene:

@@ -11,13 +11,13 @@ import attrs
 import numpy as np
 import pytest
 
-from renderer import VARIANTS, Engine, Variant, find
-from renderer.openness import open_sides
-from renderer.plan import SKIPS, may_see, plan
-from scenes.analytic import disc_over_plane, furnace, plate
-from scenes.load import library, load
-from scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky, Toggles
-from scenes.terms import TERMS, Term
+from termwise.renderer import VARIANTS, Engine, Variant, find
+from termwise.renderer.openness import open_sides
+from termwise.renderer.plan import SKIPS, may_see, plan
+from termwise.scenes.analytic import disc_over_plane, furnace, plate
+from termwise.scenes.load import library, load
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky, Toggles
+from termwise.scenes.terms import TERMS, Term
 
 RAYS, OCCLUSION, PHOTONS, DENSITIES = "rays", "occlusion rays", "photons", "density estimates"
 

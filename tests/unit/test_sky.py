@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from renderer.arrays import from_scene
-from renderer.sky import sky_radiance, sky_texture
-from renderer.vector import Vec3
-from scenes.model import Camera, Scene, Sky
+from termwise.renderer.arrays import from_scene
+from termwise.renderer.sky import sky_radiance, sky_texture
+from termwise.renderer.vector import Vec3
+from termwise.scenes.model import Camera, Scene, Sky
 
 CENTER, RADIUS = np.array([1.0, -2.0, 3.0]), 10.0
 TEXTURE = np.random.default_rng(1).uniform(0, 2, (5, 8, 3)).astype(np.float32)

@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
-from renderer.rng import root
-from renderer.sobol import Sampler, _second_dimension, sample_1d, sample_2d
+from termwise.renderer.rng import root
+from termwise.renderer.sobol import Sampler, _second_dimension, sample_1d, sample_2d
 
 
 def points(seed: int, count: int, first: int = 0, dimension: int = 3) -> np.ndarray:

@@ -3,13 +3,13 @@
 import attrs
 import pytest
 
-from renderer import Engine, find
-from renderer.arrays import LIGHT_SAMPLES, light_samples
-from renderer.film import ALONE, most_of, samples_of, sights_of
-from renderer.plan import camera_rays
-from renderer.terms.ambient import SPLIT
-from scenes.load import load
-from scenes.model import Scene
+from termwise.renderer import Engine, find
+from termwise.renderer.arrays import LIGHT_SAMPLES, light_samples
+from termwise.renderer.film import ALONE, most_of, samples_of, sights_of
+from termwise.renderer.plan import camera_rays
+from termwise.renderer.terms.ambient import SPLIT
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
 from tests.unit.test_adaptive import assert_same_mean, tile_means
 
 BOX = attrs.evolve(load("cornell_box"), resolution=(8, 6))

@@ -13,15 +13,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renderer import microfacet
-from renderer.vector import Vec3
-from reports import cli, stress
-from reports.page import stress as page
-from reports.stress import exact, garbage, intersection, photons, radiance, rounding, shading, tracers
-from reports.stress.row import Row, measure
-from scenes.analytic import plate
-from scenes.load import load
-from scenes.model import Camera, PointLight, Scene
+from termwise.renderer import microfacet
+from termwise.renderer.vector import Vec3
+from termwise.reports import cli, stress
+from termwise.reports.pages import stress as page
+from termwise.reports.stress import (
+    exact,
+    garbage,
+    intersection,
+    photons,
+    radiance,
+    rounding,
+    shading,
+    tracers,
+)
+from termwise.reports.stress.row import Row, measure
+from termwise.scenes.analytic import plate
+from termwise.scenes.load import load
+from termwise.scenes.model import Camera, PointLight, Scene
 
 SMALL = 128
 UP = Vec3(0.0, 0.0, 1.0)

@@ -7,11 +7,11 @@ from pathlib import Path
 import attrs
 import pytest
 
-from renderer.terms import DEFAULTS, VARIANTS
-from reports import study, subjects
-from scenes.load import library
-from scenes.strict import FileError
-from scenes.terms import TERMS
+from termwise.renderer.terms import DEFAULTS, VARIANTS
+from termwise.reports.study import study, subjects
+from termwise.scenes.load import library
+from termwise.scenes.strict import FileError
+from termwise.scenes.terms import TERMS
 
 EXACT = """
 [exact]

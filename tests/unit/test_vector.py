@@ -7,7 +7,7 @@ the light there and nowhere else.
 import numpy as np
 import pytest
 
-from renderer.vector import (
+from termwise.renderer.vector import (
     Vec3,
     add,
     cross,

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from reports.view.guard import Guard
+from termwise.reports.live.guard import Guard
 
 OURS, LOCAL = b"127.0.0.1:8123", b"localhost:8123"
 HEADERS = [

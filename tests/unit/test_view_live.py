@@ -9,13 +9,13 @@ import attrs
 import numpy as np
 import pytest
 
-from renderer import render_terms
-from renderer.tiles import Engine
-from reports.view.live import KEPT, Frame, Live, _Sum
-from reports.view.state import State, put
-from scenes.load import load
-from scenes.model import Photons
-from scenes.terms import TERMS, total
+from termwise.renderer import render_terms
+from termwise.renderer.tiles import Engine
+from termwise.reports.live.live import KEPT, Frame, Live, _Sum
+from termwise.reports.live.state import State, put
+from termwise.scenes.load import load
+from termwise.scenes.model import Photons
+from termwise.scenes.terms import TERMS, total
 
 # What has not come by then never will, however busy the machine.
 WAIT_S = 300.0
@@ -255,7 +255,7 @@ def test_a_fault_is_told_and_the_next_state_rendered(watch, compiled, monkeypatc
         raise MemoryError("no room for photons")
 
     with monkeypatch.context() as patched:
-        patched.setattr("reports.view.live.Engine.prefixes", broken)
+        patched.setattr("termwise.reports.live.live.Engine.prefixes", broken)
         live.show(state)
         assert seen.until(1).error == "no room for photons"
     live.show(state)
@@ -263,7 +263,7 @@ def test_a_fault_is_told_and_the_next_state_rendered(watch, compiled, monkeypatc
 
 
 def test_a_late_first_sample_is_preceded_by_a_quarter_of_the_pixels(watch, compiled, monkeypatch):
-    monkeypatch.setattr("reports.view.live.FIRST_S", 0.0)
+    monkeypatch.setattr("termwise.reports.live.live.FIRST_S", 0.0)
     live, seen = watch
     state = small("cornell_box", compiled)
     live.show(state)
@@ -297,8 +297,8 @@ def test_what_is_held_is_bounded(watch, compiled, monkeypatch, request):
         sums.append(weakref.ref(made))
         return made
 
-    monkeypatch.setattr("reports.view.live.Engine", engine)
-    monkeypatch.setattr("reports.view.live._Sum", begun)
+    monkeypatch.setattr("termwise.reports.live.live.Engine", engine)
+    monkeypatch.setattr("termwise.reports.live.live._Sum", begun)
     gc.collect()
     gc.disable()
     request.addfinalizer(gc.enable)

@@ -7,11 +7,22 @@ import attrs
 import numpy as np
 import pytest
 
-from reports.view.inputs import groups
-from reports.view.state import History, State, command, get, invalidated, named, orbit, pan, put, zoom
-from scenes.load import load
-from scenes.save import save
-from scenes.terms import TERMS
+from termwise.reports.live.inputs import groups
+from termwise.reports.live.state import (
+    History,
+    State,
+    command,
+    get,
+    invalidated,
+    named,
+    orbit,
+    pan,
+    put,
+    zoom,
+)
+from termwise.scenes.load import load
+from termwise.scenes.save import save
+from termwise.scenes.terms import TERMS
 
 CUBES, BOX, MONKEY = (State(load(name)) for name in ("two_cubes", "cornell_box", "monkey"))
 GROUND = ("scene", "objects", 0, "material")

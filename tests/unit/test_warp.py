@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from renderer.vector import Vec3
-from renderer.warp import (
+from termwise.renderer.vector import Vec3
+from termwise.renderer.warp import (
     hemisphere_ring,
     sin_cos_turn,
     square_to_cosine_hemisphere,

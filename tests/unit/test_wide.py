@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from renderer.geometry import bvh, simd, traverse, wide
-from renderer.geometry.bvh import STACK_SIZE, Tree
-from renderer.geometry.few import DOUBT, HIT, MISS, MOST, any_hit_of_few
-from renderer.geometry.intersect import NOTHING, FaceRange, make_ray
-from renderer.geometry.packets import new_group
-from renderer.geometry.rays import any_hit, any_hits, closest_hit, closest_hits, reference_hits
-from renderer.vector import Vec3
+from termwise.renderer.geometry import bvh, simd, traverse, wide
+from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
+from termwise.renderer.geometry.few import DOUBT, HIT, MISS, MOST, any_hit_of_few
+from termwise.renderer.geometry.intersect import NOTHING, FaceRange, make_ray
+from termwise.renderer.geometry.packets import new_group
+from termwise.renderer.geometry.rays import any_hit, any_hits, closest_hit, closest_hits, reference_hits
+from termwise.renderer.vector import Vec3
 
 pytestmark = pytest.mark.skipif(
     not simd.available(), reason="the processor lacks the vectors, or nothing is compiled"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from reports.verdict import TOLERATED_BIAS, decide, measure
+from termwise.reports.statistics.verdict import TOLERATED_BIAS, decide, measure
 
 RUN = 600
 """Tests of a run of some 60 rows."""

@@ -7,8 +7,8 @@ shows that it sends to the right one. Set-up: K = 16 runs of 256 samples of 64 p
 import numpy as np
 import pytest
 
-from reports.convergence import extrapolate, fit, mean_square_error
-from reports.verdict import Estimate, gram
+from termwise.reports.statistics.convergence import extrapolate, fit, mean_square_error
+from termwise.reports.statistics.verdict import Estimate, gram
 
 SAMPLES = 2 ** np.arange(9)
 RUNS = 20

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage, stats
 
-from reports.verdict import decide, judge, measure
+from termwise.reports.statistics.verdict import decide, judge, measure
 from tests.verdict.synthetic import RUN, share_found
 
 

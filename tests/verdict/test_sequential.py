@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.sequential import LOOKS, Item, Ledger, go_on
-from reports.verdict import MARGIN, Statistics, Verdict, decide, measure
+from termwise.reports.statistics.sequential import LOOKS, Item, Ledger, go_on
+from termwise.reports.statistics.verdict import MARGIN, Statistics, Verdict, decide, measure
 
 RUNS = 1000
 FIRST = 16

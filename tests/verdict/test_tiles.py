@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports import tiles
-from reports.tiles import summary, tile_maps, variables
-from reports.verdict import measure
+from termwise.reports.statistics import tiles
+from termwise.reports.statistics.tiles import summary, tile_maps, variables
+from termwise.reports.statistics.verdict import measure
 
 WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 

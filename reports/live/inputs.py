@@ -1,0 +1,206 @@
+"""Every input of a scene, with its unit, its range and the paper's name beside ours: what the page is built from.
+
+A range here is that of the slider, where what is allowed is wider or open; the model alone refuses.
+"""
+
+from collections.abc import Iterator
+from typing import Any, get_args
+
+import attrs
+
+from termwise.renderer.terms import VARIANTS
+from termwise.reports.live.state import State, Steps
+from termwise.scenes.model import Photons, Scene, Sky
+from termwise.scenes.terms import TERMS
+
+_LENGTH, _RADIANCE, _DEGREES = "scene units", "radiance", "degrees"
+
+
+@attrs.frozen
+class Input:
+    """One input.
+
+    Attributes
+    ----------
+    path : of its value, see `reports.live.state`.
+    label : ours.
+    paper : the paper's name, or "".
+    unit : of the value, or "".
+    low, high, step : of a slider; none where `high` is None.
+    choices : allowed words, or ().
+    part : x, y, z, R, G or B, of an input that is one of three; or "".
+    word : what may stand in the place of a number, "inf" or "auto"; "" where nothing may.
+    """
+
+    path: Steps
+    label: str
+    paper: str = ""
+    unit: str = ""
+    low: float = 0.0
+    high: float | None = None
+    step: float = 0.01
+    choices: tuple[Any, ...] = ()
+    part: str = ""
+    word: str = ""
+
+    @property
+    def name(self) -> str:
+        """Label with all that a reader has to know."""
+        return self._noted(f"{self.label} {self.part}" if self.part else self.label)
+
+    @property
+    def whole(self) -> str:
+        """Name of the three that this is a part of."""
+        return self._noted(self.label)
+
+    def _noted(self, label: str) -> str:
+        notes = [f"paper: {self.paper}" if self.paper else "", self.unit]
+        said = ", ".join(note for note in notes if note)
+        return f"{label} ({said})" if said else label
+
+
+def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
+    """The inputs of a state, by heading."""
+    scene = state.scene
+    yield (
+        "Estimators",
+        [
+            *(Input(("variants", term), term, "", "", choices=tuple(VARIANTS[term])) for term in TERMS),
+            Input(("samples",), "samples", "max_samples", "per pixel, where refinement ends"),
+            Input(("seed",), "seed", "", "equal seeds give equal bits"),
+        ],
+    )
+    yield (
+        "Camera",
+        [
+            *_triple(("scene", "camera", "position"), "position", "", _LENGTH, "xyz"),
+            *_triple(("scene", "camera", "target"), "looks at", "", _LENGTH, "xyz"),
+            *_triple(("scene", "camera", "up"), "up", "", "direction", "xyz"),
+            Input(("scene", "camera", "fov"), "field of view", "FOV", _DEGREES, 1.0, 179.0, 1.0),
+            Input(("scene", "camera", "near"), "near distance", "distance", _LENGTH),
+            Input(("scene", "resolution", 0), "width", "", "pixels; aspect is width over height"),
+            Input(("scene", "resolution", 1), "height", "", "pixels"),
+            Input(
+                ("scene", "camera", "pixel"),
+                "ray of a pixel",
+                choices=("jitter", "centre", "corner"),
+            ),
+        ],
+    )
+    yield (
+        "Light",
+        [
+            *(
+                each
+                for number in range(len(scene.lights))
+                for each in (
+                    *_triple(
+                        ("scene", "lights", number, "position"), f"light {number + 1}", "", _LENGTH, "xyz"
+                    ),
+                    *_triple(
+                        ("scene", "lights", number, "intensity"),
+                        f"light {number + 1} intensity",
+                        "",
+                        "radiance × area",
+                        "RGB",
+                    ),
+                )
+            ),
+            *(
+                each
+                for number, thing in enumerate(scene.objects)
+                if thing.emits
+                for each in (
+                    *_triple(("scene", "objects", number, "position"), thing.name, "", _LENGTH, "xyz"),
+                    Input(("scene", "objects", number, "size"), f"{thing.name} size", "", "root of its area"),
+                    *_triple(
+                        ("scene", "objects", number, "emission"),
+                        f"{thing.name} emission",
+                        "",
+                        _RADIANCE,
+                        "RGB",
+                    ),
+                )
+            ),
+            *_triple(("scene", "ambient", "color"), "ambient light", "L_a0", _RADIANCE, "RGB"),
+            Input(
+                ("scene", "ambient", "range"),
+                "ambient range",
+                "AO distance",
+                f"{_LENGTH} or inf",
+                word="inf",
+            ),
+            *(
+                _triple(("scene", "sky", "color"), "sky", "", _RADIANCE, "RGB")
+                if scene.sky.texture is None
+                else [
+                    *_triple(("scene", "sky", "center"), "sky's centre", "", _LENGTH, "xyz"),
+                    Input(("scene", "sky", "radius"), "sky's radius", "", f"{_LENGTH} or inf", word="inf"),
+                    Input(
+                        ("scene", "sky", "projection"),
+                        "sky's projection",
+                        choices=get_args(attrs.fields_dict(Sky)["projection"].type),
+                    ),
+                ]
+            ),
+        ],
+    )
+    yield (
+        "Switches",
+        [
+            Input(("scene", "toggles", "ambient_occlusion"), "ambient occlusion"),
+            Input(("scene", "toggles", "lighting"), "lighting"),
+            Input(("scene", "toggles", "reflections"), "reflections"),
+            _choice("shadows", "shadows rule", "shadows"),
+            _choice("scope", "direct means"),
+            _choice("irradiance", "direct is read from E as"),
+            _choice("ignore", "a ray that leaves passes its"),
+            _choice("normals", "normals of the"),
+            _choice("intersection", "intersection"),
+            Input(("scene", "draw_lights"), "lights are drawn"),
+            Input(("scene", "max_bounces"), "bounces", "max_bounces", "", 0.0, 16.0, 1.0),
+            Input(("scene", "rings"), "rings", "max_samples", "N of the paper's loops"),
+        ],
+    )
+    yield (
+        "Photons",
+        [
+            Input(("scene", "photons", "count"), "photons", "", "a pass"),
+            Input(("scene", "photons", "radius"), "radius", "", f"{_LENGTH}, of the first pass"),
+            Input(("scene", "photons", "nearest"), "nearest", "k", "photons"),
+            Input(("scene", "photons", "survival"), "survival", "", "probability, or auto", word="auto"),
+            *(
+                Input(
+                    ("scene", "photons", name),
+                    name,
+                    choices=get_args(attrs.fields_dict(Photons)[name].type),
+                )
+                for name in ("kernel", "scattering")
+            ),
+        ],
+    )
+    for number, thing in enumerate(scene.objects):
+        if not thing.emits:
+            material: Steps = ("scene", "objects", number, "material")
+            yield (
+                thing.name,
+                [
+                    *_triple((*material, "color"), "color", "", "reflectance", "RGB", high=1.0),
+                    Input((*material, "gloss"), "gloss", "g", "", 0.0, 1.0),
+                    Input((*material, "roughness"), "roughness", "", "Beckmann α", 0.01, 1.5),
+                    *_triple((*material, "f0"), "F0", "", "reflectance", "RGB", high=1.0),
+                ],
+            )
+
+
+def _triple(
+    path: Steps, label: str, paper: str, unit: str, parts: str, high: float | None = None
+) -> list[Input]:
+    return [
+        Input((*path, number), label, paper, unit, high=high, part=part) for number, part in enumerate(parts)
+    ]
+
+
+def _choice(name: str, label: str, paper: str = "") -> Input:
+    kind = attrs.fields_dict(Scene)[name].type
+    return Input(("scene", name), label, paper, choices=get_args(kind))

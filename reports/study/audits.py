@@ -1,0 +1,170 @@
+"""References audited: one that disagrees with itself or with a second integrator judges nobody.
+
+Each reference that a judged row is measured against is put to the very rule that estimators are put to (`verdict`), no
+margin needed and nothing allowed, at a level of its own over all audits of the run:
+
+- *halves*: the first half of its replicates against the second half. Finds replicates that share random numbers or
+  drift, and noise that the replicates do not show.
+- *second integrator*: the same integral by other sampling (`reference.second`), from other random numbers. Finds what
+  both halves share: a wrong weight, a density that is not that of the samples, a strategy that misses light.
+
+What an audit does not exclude is printed with it: its smallest detectable bias. Closed forms are checked by the tests.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import attrs
+import numpy as np
+
+from termwise import reference
+from termwise.reference import backend, store
+from termwise.reports.statistics import verdict
+from termwise.reports.statistics.verdict import Statistics
+from termwise.scenes.limits import Limit, correct
+from termwise.scenes.model import Scene
+
+Test = Literal["halves", "second integrator"]
+
+AGREES, DISAGREES, UNDECIDED, ABSENT = "agrees", "disagrees", "undecided", "absent"
+_WORDS = {"EQUIVALENT": AGREES, "BIASED": DISAGREES, "UNDERPOWERED": UNDECIDED, "ABSENT": ABSENT}
+
+
+@attrs.frozen(eq=False)
+class Audit:
+    """A reference measured against itself, before the number of audits of the run is known.
+
+    Attributes
+    ----------
+    scene : name.
+    limit : what was rendered, see `reference.shared`.
+    test : how.
+    statistics : of the one side against the other.
+    samples : per pixel and replicate of the other side; with a kernel, photon maps.
+    seconds : of the second integrator; 0 of halves, which were there.
+    """
+
+    scene: str
+    limit: Limit
+    test: Test
+    statistics: Statistics
+    samples: int
+    seconds: float
+
+
+def audits(
+    scene: Scene,
+    rendered: Mapping[Limit, store.Replicates],
+    *,
+    by_second: bool,
+    seed: int,
+    folder: Path,
+    compare: Callable[[np.ndarray, np.ndarray, str], Statistics],
+    progress: Callable[[str], object],
+) -> list[Audit]:
+    """Measure the references of a scene against themselves.
+
+    Parameters
+    ----------
+    scene, rendered : replicates of each limit that a judged row is measured against.
+    by_second : whether second integrators are rendered too, for the true integral of each term where it has one and
+        Mitsuba is vectorised: a quarter of the samples, as many replicates.
+    seed, folder : as of the references.
+    compare : (ours, reference, what) -> `verdict.measure` with the objects of the scene.
+    progress : called with the kind of work, after each replicate.
+    """
+    found: list[Audit] = []
+    vectorised = backend.choose().variant != "scalar_rgb"
+    done: set[Limit] = set()
+    for limit, kept in rendered.items():
+        served = reference.shared(scene, limit)
+        if served in done or limit.transport == "physical":
+            continue
+        done.add(served)
+        images = kept.images
+        half = len(images) // 2
+        if half >= verdict.REPLICATES_NEEDED:
+            halves = compare(images[:half], images[half:], f"reference {limit.term}, halves")
+            found.append(Audit(scene.name, served, "halves", halves, kept.spp, 0.0))
+        plain = served == reference.shared(scene, correct(limit.term, scene.scope))
+        if by_second and plain and reference.has_second(scene, served) and vectorised:
+            other = store.replicates(
+                scene,
+                limit,
+                spp=max(1, kept.spp // 4),
+                seed=seed,
+                count=len(images),
+                folder=folder,
+                progress=lambda limit=limit: progress(f"{scene.name}: second integrator of {limit.term}"),
+                by_second=True,
+            )
+            found.append(
+                Audit(
+                    scene.name,
+                    served,
+                    "second integrator",
+                    compare(images, other.images, f"reference {limit.term}, second integrator"),
+                    other.spp,
+                    float(np.sum(other.seconds)),
+                )
+            )
+    return found
+
+
+def decide(found: Iterable[Audit]) -> list[dict[str, Any]]:
+    """A row for each audit: scene, term, limit, test, word, bias with its intervals, what it cannot see."""
+    every = list(found)
+    tests = sum(each.statistics.tests for each in every)
+    rows = []
+    for each in every:
+        outcome = verdict.decide(each.statistics, tests=max(tests, 1))
+        assert outcome.verdict is not None
+        rows.append(
+            {
+                "scene": each.scene,
+                "term": each.limit.term,
+                "limit": described(each.limit),
+                "test": each.test,
+                "word": _WORDS[outcome.verdict],
+                "bias": outcome.bias,
+                "bias_low": outcome.bias_low,
+                "bias_high": outcome.bias_high,
+                "standard_error": outcome.standard_error,
+                "detectable_bias": outcome.detectable_bias,
+                "rms_bias_high": outcome.rms_bias_high,
+                "reasons": list(outcome.reasons),
+                "samples": each.samples,
+                "seconds": each.seconds,
+            }
+        )
+    return rows
+
+
+def findings(
+    rows: Iterable[dict[str, Any]], scene: Scene, used: Iterable[Limit]
+) -> tuple[str | None, list[str]]:
+    """What the audits say of the references that a row is measured against.
+
+    The worst word, None without any audit; and why those that disagree do.
+    """
+    names = {described(reference.shared(scene, limit)) for limit in used}
+    about = [row for row in rows if row["scene"] == scene.name and row["limit"] in names]
+    words = {row["word"] for row in about}
+    worst = next((word for word in (DISAGREES, UNDECIDED, AGREES, ABSENT) if word in words), None)
+    failed = [
+        f"{row['limit']}, {row['test']}: {row['reasons'][0]}" for row in about if row["word"] == DISAGREES
+    ]
+    return worst, failed
+
+
+def described(limit: Limit) -> str:
+    """The fields of a limit that are not its defaults."""
+    fields = attrs.fields_dict(Limit)
+    told = {name: value for name, value in attrs.asdict(limit, recurse=False).items() if name != "term"}
+    rest = ", ".join(
+        f"{name} = {value}"
+        for name, value in told.items()
+        if value != fields[name].default and value is not None
+    )
+    return f"{limit.term}, {rest}" if rest else limit.term

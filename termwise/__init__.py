@@ -1,0 +1,46 @@
+"""Whether an estimator is biased, by how much, where, and how sure that is.
+
+`load` a scene, `render` one of its terms with our renderer, render its `reference` with Mitsuba, and `judge` any
+replicate images against any reference. `register` an estimator of your own, with the `Limit` that it is meant to have.
+
+Importing this loads nothing else: each name brings what it needs when it is first asked for, so that `judge` costs
+neither Numba nor Mitsuba. The folders beside it, `scenes`, `renderer`, `reference` and `reports`, are linked here, so
+that all is imported as `termwise.…` and no module of that name beside a user's script stands in the way.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from termwise.reference import render as reference
+    from termwise.renderer import render
+    from termwise.renderer.terms import register
+    from termwise.reports.statistics.verdict import judge
+    from termwise.scenes.limits import Limit
+    from termwise.scenes.load import load
+
+__all__ = ["Limit", "judge", "load", "reference", "register", "render"]
+
+_HOMES = {
+    "Limit": "scenes.limits",
+    "judge": "reports.statistics.verdict",
+    "load": "scenes.load",
+    "register": "renderer.terms",
+    "render": "renderer",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what a public name stands for."""
+    if name == "reference":
+        # The package itself, which can be called: its name is that of the function it is for.
+        return importlib.import_module("termwise.reference")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'termwise' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"termwise.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__
