@@ -101,7 +101,7 @@ def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureR
         for name, image in (("ours", ours), ("reference", reference), ("error", ours - reference)):
             images.write_exr(folder / f"{name}.exr", {name: image}, {"software": "termwise", "scene": scene})
         pictures.write_png(folder / "ours.png", ours, exposure=exposure)
-        pictures.write_png(folder / "termwise.reference.png", reference, exposure=exposure)
+        pictures.write_png(folder / "reference.png", reference, exposure=exposure)
         cell, (height, width, _) = measured.cells[scene, term], ours.shape
 
         def leave(name: str, pixels: np.ndarray) -> str:

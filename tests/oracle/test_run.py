@@ -321,7 +321,7 @@ def test_term_images_have_named_parts_and_provenance(first: Finished, results: d
     assert {"ambient.cosine", "direct.path", "specular.vndf", "background.seen", "total.default"} <= set(
         parts
     )
-    assert {"termwise.reference.total", "reference.total physical"} <= set(parts)
+    assert {"reference.total", "reference.total physical"} <= set(parts)
     assert all(image.shape == (9, 12, 3) for image in parts.values())
     with OpenEXR.File(str(path)) as file:
         header = file.header()
@@ -599,7 +599,7 @@ def _process(
 ) -> subprocess.Popen[str]:
     """`termwise compare` with the caches of this module, but kernels and probes of the project."""
     code = (
-        "import resource, signal, sys; from pathlib import Path; from reports import cli, run;"
+        "import resource, signal, sys; from pathlib import Path; from termwise.reports import cli, run;"
         # A shell's background job, as these tests may be, ignores SIGINT and lets its children inherit that.
         "signal.signal(signal.SIGINT, signal.default_int_handler);"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file}, {largest_file}));"
