@@ -52,7 +52,16 @@ class Replicates(NamedTuple):
     shortfall: str | None = None
 
 
-def replicates(
+@attrs.frozen
+class Pace:
+    """Samples a pixel, and replicates, that the backend affords; `shortfall` says why they are fewer than asked for."""
+
+    spp: int
+    count: int
+    shortfall: str | None = None
+
+
+def pace(
     scene: Scene,
     limit: Limit,
     *,
@@ -60,36 +69,27 @@ def replicates(
     seed: int,
     count: int,
     folder: Path,
-    progress: Callable[[], object] | None = None,
     budget_s: float = 60.0,
     by_second: bool = False,
-) -> Replicates:
-    """Take `count` replicates from `folder`; render and keep those that it lacks.
+) -> Pace:
+    """What is rendered of `count` replicates of `spp` samples: all, but for `scalar_rgb` what `budget_s` allows.
 
-    Without a vectorising backend only what `budget_s` allows is rendered, and `shortfall` says so.
-
-    Parameters
-    ----------
-    scene, limit, spp, seed : as in `reference.replicate`.
-    count : number of replicates.
-    folder : folder of the cache; made if missing.
-    progress : called after each replicate.
-    budget_s : seconds that the replicates of one render may take on `scalar_rgb`; estimated from one replicate of
-        one sample a pixel, which is kept, so that a second run makes the same choice.
-    by_second : by the limit's second integrator, see `reference.has_second`.
+    The seconds are estimated from one replicate of one sample a pixel, which is kept, so that a second run makes the
+    same choice.
     """
-    asked = spp, count
-    shortfall = None
-    if _variant() == "scalar_rgb":
-        pilot = _take(scene, limit, 1, seed, 1, folder, None, by_second)
-        terms = reference.parts(reference.shared(scene, limit))
-        spp, count = affordable(spp, count, pilot.seconds[0] * len(terms), budget_s)
-        if (spp, count) != asked:
-            shortfall = (
-                f"scalar_rgb renders {count} of {asked[1]} replicates at {spp} of {asked[0]} samples a pixel "
-                f"in {budget_s:g} s; no faster backend: {backend.choose().reason}"
-            )
-    return _take(scene, limit, spp, seed, count, folder, progress, by_second)._replace(shortfall=shortfall)
+    if _variant() != "scalar_rgb":
+        return Pace(spp, count)
+    render_missing(scene, limit, spp=1, seed=seed, number=0, folder=folder, by_second=by_second)
+    pilot = kept(scene, limit, spp=1, seed=seed, count=1, folder=folder, by_second=by_second)
+    terms = reference.parts(reference.shared(scene, limit))
+    found = affordable(spp, count, pilot.seconds[0] * len(terms), budget_s)
+    if found == (spp, count):
+        return Pace(spp, count)
+    return Pace(
+        *found,
+        f"scalar_rgb renders {found[1]} of {count} replicates at {found[0]} of {spp} samples a pixel "
+        f"in {budget_s:g} s; no faster backend: {backend.choose().reason}",
+    )
 
 
 def affordable(spp: int, count: int, seconds_per_sample: float, budget_s: float) -> tuple[int, int]:
@@ -104,34 +104,81 @@ def affordable(spp: int, count: int, seconds_per_sample: float, budget_s: float)
     return fewer, min(count, max(2, int(samples / fewer)))
 
 
-def _take(
+def replicates(
     scene: Scene,
     limit: Limit,
+    *,
     spp: int,
     seed: int,
     count: int,
     folder: Path,
-    progress: Callable[[], object] | None,
-    by_second: bool,
+    progress: Callable[[], object] | None = None,
+    budget_s: float = 60.0,
+    by_second: bool = False,
 ) -> Replicates:
+    """Take `count` replicates from `folder`; render and keep those that it lacks.
+
+    Parameters
+    ----------
+    scene, limit, spp, seed : as in `reference.replicate`.
+    count : number of replicates.
+    folder : folder of the cache; made if missing.
+    progress : called after each replicate.
+    budget_s : seconds that the replicates of one render may take without a vectorising backend, see `pace`.
+    by_second : by the limit's second integrator, see `reference.has_second`.
+    """
+    paced = pace(
+        scene, limit, spp=spp, seed=seed, count=count, folder=folder, budget_s=budget_s, by_second=by_second
+    )
+    for number in range(paced.count):
+        render_missing(
+            scene, limit, spp=paced.spp, seed=seed, number=number, folder=folder, by_second=by_second
+        )
+        if progress:
+            progress()
+    found = kept(
+        scene, limit, spp=paced.spp, seed=seed, count=paced.count, folder=folder, by_second=by_second
+    )
+    return found._replace(shortfall=paced.shortfall)
+
+
+def render_missing(
+    scene: Scene, limit: Limit, *, spp: int, seed: int, number: int, folder: Path, by_second: bool = False
+) -> bool:
+    """Render and keep replicate `number`, all terms that its render gives, unless it is there; whether it was not."""
     served = reference.shared(scene, limit)
     keys: dict[Term, str] = {
         term: key(scene, attrs.evolve(served, term=term), spp=spp, seed=seed, by_second=by_second)
         for term in reference.parts(served)
     }
+    paths: dict[Term, Path] = {term: _path(folder, name, number) for term, name in keys.items()}
+    if _read(paths[limit.term], scene.resolution) is not None:
+        return False
+    _render(scene, served, spp, seed, number, paths, by_second)
+    return True
+
+
+def kept(
+    scene: Scene, limit: Limit, *, spp: int, seed: int, count: int, folder: Path, by_second: bool = False
+) -> Replicates:
+    """The first `count` replicates, all of which are kept.
+
+    Raises
+    ------
+    ValueError
+        One of them is missing or damaged.
+    """
+    # One render may serve several terms, each of which is kept by its own name.
+    served = attrs.evolve(reference.shared(scene, limit), term=limit.term)
+    name = key(scene, served, spp=spp, seed=seed, by_second=by_second)
     images, seconds = [], []
     for number in range(count):
-        path = _path(folder, keys[limit.term], number)
-        kept = _read(path, scene.resolution)
-        if kept is None:
-            paths: dict[Term, Path] = {term: _path(folder, name, number) for term, name in keys.items()}
-            _render(scene, served, spp, seed, number, paths, by_second)
-            kept = _read(path, scene.resolution)
-            assert kept is not None, path
-        images.append(reference.scaled(kept[0], limit))
-        seconds.append(kept[1])
-        if progress:
-            progress()
+        path = _path(folder, name, number)
+        found = _read(path, scene.resolution)
+        if found is None:
+            raise ValueError(f"{path}: is missing or damaged: allowed is a replicate that was kept")
+        images.append(reference.scaled(found[0], limit))
+        seconds.append(found[1])
     return Replicates(np.array(images), np.array(seconds), spp)
 
 

@@ -476,7 +476,7 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
         for name, skip in SKIPS.items()
         if name not in without and (reason := skip.reason(scene, variant, chain))
     }
-    kernel = f"kernel {variant.estimator} ({variant.name})"
+    kernel = f"kernel {variant.estimator.name} ({variant.name})"
     if "term" in applied:
         return [Step(term, kernel, "skip", applied["term"], {"rays": sights * pixels}, at_most=False)]
     steps = [Step(term, kernel, "runs", "the scene has this term")]

@@ -38,6 +38,7 @@ from termwise.renderer.jit import PACKAGE
 from termwise.renderer.microfacet import pdf_lobe
 from termwise.renderer.scratch import new_scratch
 from termwise.renderer.terms import VARIANTS, ambient, direct, specular
+from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.vector import column, dot, vec3
 
 Event = dict[str, Any]
@@ -276,8 +277,8 @@ def main() -> None:
     scene, term, name = pickle.load(requests)
     recorder = Recorder(scene)
     _watch(recorder)
-    driver, scratch = VARIANTS[term][name].driver, new_scratch()
-    assert driver is not None
+    estimator, scratch = VARIANTS[term][name].estimator, new_scratch()
+    assert isinstance(estimator, Compiled)
     inputs: tuple[Any, ...] = ()
     while True:
         try:
@@ -288,7 +289,7 @@ def main() -> None:
         recorder.events = []
         out = np.zeros((scene.camera.height, scene.camera.width, 3))
         work = np.array([[x, y, x + 1, y + 1, sample, sample + 1, split]])
-        driver(scene, *inputs, key, work, out, scratch)
+        estimator.driver(scene, *inputs, key, work, out, scratch)
         pickle.dump((recorder.events, out[y, x]), answers)
         answers.flush()
 

@@ -15,6 +15,7 @@ import pickle
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import attrs
@@ -24,6 +25,7 @@ from termwise.renderer.plan import skipped
 from termwise.renderer.recorder import Event
 from termwise.renderer.scratch import Seen
 from termwise.renderer.terms import Chain, Variant
+from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.tiles import Engine
 from termwise.scenes.model import Scene
 
@@ -116,7 +118,7 @@ class _Recorded(Engine):
 
     def _run(
         self,
-        variant: Variant,
+        driver: Callable[..., None],
         inputs: tuple,
         key: np.uint64,
         work: np.ndarray,
@@ -128,8 +130,8 @@ class _Recorded(Engine):
         given: tuple | None = inputs
         for index in range(first, last):
             one, alone = np.array([[x, y, x1, y1, index, index + 1, split]]), np.zeros_like(out)
-            super()._run(variant, inputs, key, one, alone, seen, cancel)
-            super()._run(variant, inputs, key, one, out, seen, cancel)
+            super()._run(driver, inputs, key, one, alone, seen, cancel)
+            super()._run(driver, inputs, key, one, out, seen, cancel)
             events, traced = self._trace((given, key, x, y, index, split))
             given = None
             self.samples.append(Sample(index, events, alone[y, x], _ulp(traced, alone[y, x])))
@@ -159,7 +161,7 @@ def replay(
     ValueError
         A pixel outside of the image, an estimator in Python, and what `Engine.prefixes` refuses.
     """
-    if variant.function is not None:
+    if not isinstance(variant.estimator, Compiled):
         raise ValueError(
             f"{variant.term} {variant.name}: is an estimator in Python: allowed are those of the renderer"
         )

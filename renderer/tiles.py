@@ -30,6 +30,7 @@ from termwise.renderer.plan import (
 )
 from termwise.renderer.rng import root, stream
 from termwise.renderer.scratch import COUNTERS, NOTHING_SEEN, SEEN_BYTES, Scratch, Seen, new_scratch, new_seen
+from termwise.renderer.terms.estimator import Cancelled, Compiled, Prefix, Progress, Request
 from termwise.renderer.terms.variant import Chain, Stored, Variant
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TERMS
@@ -47,12 +48,6 @@ _TILES_A_THREAD, _SMALLEST = 4, 4
 _CHAINS_A_MAP = 128
 
 _PILOT_STREAM = 1 << 41  # beyond the streams of pixels and of photons
-
-Progress = Callable[[int, int], None]
-
-
-class Cancelled(Exception):
-    """The caller asked the run to stop."""
 
 
 def _tiles(wanted: np.ndarray, *, least: int, side: int = TILE) -> list[Tile]:
@@ -201,12 +196,12 @@ class Engine:
 
     def kernels_of(self, variant: Variant, *, chain: Chain = "next-event") -> tuple[str, ...]:
         """Names of the kernels that a variant takes here; none where its term is skipped."""
-        if variant.function is not None:
-            return (f"{variant.estimator}, in Python",)
+        if not isinstance(variant.estimator, Compiled):
+            return (f"{variant.estimator.name}, in Python",)
         if "term" not in self.without and skipped(self.scene, variant.term) is not None:
             return ()
         traced = needs_photons(self.scene, variant, chain, without=self.without)
-        return (variant.estimator, *(("trace_photons", "sort") if traced else ()))
+        return (variant.estimator.name, *(("trace_photons", "sort") if traced else ()))
 
     def prefixes(
         self,
@@ -234,15 +229,26 @@ class Engine:
         """
         samples = whole(samples)
         check(self.scene, variant, chain=chain)
-        if variant.function is not None:
-            yield from self._called(variant, samples, seed, replicate, progress, cancel, counts)
-            return
+        request = Request(
+            samples=samples,
+            seed=seed,
+            replicate=replicate,
+            chain=chain,
+            counts=powers_of_two(samples) if counts is None else counts,
+            progress=progress,
+            cancel=cancel,
+        )
+        yield from variant.estimator.prefixes(self, variant, request)
+
+    def summed(self, variant: Variant, driver: Callable[..., None], request: Request) -> Iterator[Prefix]:
+        """The prefixes of a kernel's sums; see `prefixes`."""
+        chain, cancel = request.chain, request.cancel
         width, height = self.scene.resolution
         out = np.zeros((height, width, 3))
         if "term" not in self.without and skipped(self.scene, variant.term) is not None:
-            yield from ((count, out.copy(), 0.0) for count in counts or powers_of_two(samples))
+            yield from ((count, out.copy(), 0.0) for count in request.counts)
             return
-        key = root(seed, replicate)
+        key = root(request.seed, request.replicate)
         stored = needs_photons(self.scene, variant, chain, without=self.without)
         if self.adaptive and stored:
             raise ValueError(
@@ -256,14 +262,14 @@ class Engine:
         # Adaptive counts are so few in places that each sample needs a camera ray.
         split = 1 if self.adaptive or "splitting" in self.without else variant.split(self.scene)
         done = 0
-        self._warm(variant, chain, stored, key, out)
+        self._warm(variant, driver, chain, stored, key, out)
         begin = time.perf_counter()
         share = np.ones(len(tiles))
         if self.adaptive:
-            share = self._pilot(variant, chain, stream(key, _PILOT_STREAM), tiles, cancel)
+            share = self._pilot(variant, driver, chain, stream(key, _PILOT_STREAM), tiles, cancel)
         taken = np.ones((height, width, 1))
         seconds = time.perf_counter() - begin
-        for count in counts or powers_of_two(samples):
+        for count in request.counts:
             start = time.perf_counter()
             first = done
             while first < count:
@@ -275,12 +281,11 @@ class Engine:
                     photons = self._shared(variant, chain, stored, key, number, emitted, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
                 work = _work(tiles, share, first, last, split)
-                self._run(variant, inputs, key, work, out, self._sights(key, samples), cancel)
+                self._run(driver, inputs, key, work, out, self._sights(key, request.samples), cancel)
                 if variant.term == "background":
                     self._add_sky(out, last - first)
                 first = last
-                if progress:
-                    progress(last, samples)
+                request.done(last)
             done = count
             seconds += time.perf_counter() - start
             taken[:] = count
@@ -288,39 +293,10 @@ class Engine:
                 taken[y0:y1, x0:x1] = last
             yield count, out / taken, seconds
 
-    def _called(
-        self,
-        variant: Variant,
-        samples: int,
-        seed: int,
-        replicate: int,
-        progress: Progress | None,
-        cancel: threading.Event | None,
-        counts: Iterable[int] | None,
-    ) -> Iterator[tuple[int, np.ndarray, float]]:
-        """Prefixes of an estimator in Python: it is called for each count, and the seconds are those of that call."""
-        assert variant.function is not None
-        width, height = self.scene.resolution
-        # 63 bits: of those that take a seed many take no more.
-        own_seed = int(root(seed, replicate) >> np.uint64(1))
-        for count in counts or powers_of_two(samples):
-            if cancel is not None and cancel.is_set():
-                raise Cancelled
-            start = time.perf_counter()
-            image = np.asarray(variant.function(self.scene, count, own_seed), np.float64)
-            seconds = time.perf_counter() - start
-            if image.shape != (height, width, 3):
-                raise ValueError(
-                    f"{variant.term} {variant.name}: shape = {image.shape}: allowed is {(height, width, 3)}, the "
-                    "resolution of the scene it was given"
-                )
-            if progress:
-                progress(count, samples)
-            yield count, image, seconds
-
     def _pilot(
         self,
         variant: Variant,
+        driver: Callable[..., None],
         chain: Chain,
         key: np.uint64,
         tiles: list[Tile],
@@ -332,7 +308,7 @@ class Engine:
         images = np.zeros((2, height, width, 3))
         for number, image in enumerate(images):
             self._run(
-                variant,
+                driver,
                 inputs,
                 stream(key, number),
                 _work(tiles, np.ones(len(tiles)), 0, PILOT, 1),
@@ -372,7 +348,7 @@ class Engine:
 
     def _run(
         self,
-        variant: Variant,
+        driver: Callable[..., None],
         inputs: tuple,
         key: np.uint64,
         work: np.ndarray,
@@ -380,8 +356,6 @@ class Engine:
         seen: Seen,
         cancel: threading.Event | None,
     ) -> None:
-        driver = variant.driver
-        assert driver is not None
         scratch = self._unless(cancel)
         parts = deque(self._parts(work))
 
@@ -423,7 +397,13 @@ class Engine:
         return [np.ascontiguousarray(work[part::count]) for part in range(count)]
 
     def _warm(
-        self, variant: Variant, chain: Chain, stored: Stored | None, key: np.uint64, out: np.ndarray
+        self,
+        variant: Variant,
+        driver: Callable[..., None],
+        chain: Chain,
+        stored: Stored | None,
+        key: np.uint64,
+        out: np.ndarray,
     ) -> None:
         """Compile before the clock starts; once is enough."""
         if (variant, chain, stored) in self._warmed:
@@ -435,8 +415,7 @@ class Engine:
             # Its photon does not count.
             photons = self._photons(variant, chain, stored, key, 0, 1, new_scratch)
         inputs = variant.inputs(self.scene, chain, photons)
-        assert variant.driver is not None
-        warm(variant.driver, self.arrays, *inputs, key, np.zeros((0, 7), np.int64), out, self._scratch())
+        warm(driver, self.arrays, *inputs, key, np.zeros((0, 7), np.int64), out, self._scratch())
         self._warmed.add((variant, chain, stored))
         self.compile_seconds += time.perf_counter() - start
 

@@ -13,8 +13,8 @@ import numpy as np
 import xarray
 
 from termwise.reports.results.images import write_exr, write_netcdf
-from termwise.reports.results.schema import SCHEMA
-from termwise.reports.run import plain, versions
+from termwise.reports.results.schema import SCHEMA, plain
+from termwise.reports.run import versions
 from termwise.reports.statistics import tiles, verdict
 from termwise.scenes.store import write_atomically
 from termwise.scenes.terms import TermImage

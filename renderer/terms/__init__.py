@@ -5,7 +5,8 @@ from collections.abc import Callable
 from typing import Literal
 
 from termwise.renderer.terms import ambient, background, direct, specular
-from termwise.renderer.terms.variant import Chain, Function, Variant
+from termwise.renderer.terms.estimator import Called, Compiled, Function
+from termwise.renderer.terms.variant import Chain, Variant
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TERMS, Term
@@ -38,6 +39,7 @@ def register(
     *,
     kind: Literal["right", "wrong"] = "right",
     source: str = "",
+    identity: str | None = None,
 ) -> Variant:
     """Add an estimator in Python to a term's table: a study then measures and judges it like any other.
 
@@ -50,6 +52,9 @@ def register(
     limit : the integral that it is meant to converge to.
     kind : "wrong" where it is not meant to be the term's true integral.
     source : where it comes from.
+    identity : what its images depend on beside its arguments; another text, other images. By default its code and all
+        that this reaches decide whether images that are kept are its own (see `renderer.fingerprint`); where that
+        cannot be told, or it reads files, say it here, or nothing is kept from one run to the next.
 
     Raises
     ------
@@ -67,7 +72,7 @@ def register(
     variant = Variant(
         name=name,
         term=term,
-        function=function,
+        estimator=Called(function, identity),
         limit=lambda scene, samples: given if isinstance(given, Limit) else given(scene),
         kind=kind,
         equation=rf"\text{{{name}}}(N)",
@@ -80,4 +85,6 @@ def register(
 
 def registered(term: Term) -> tuple[str, ...]:
     """Names of the estimators of a term that were added by `register`."""
-    return tuple(name for name, variant in VARIANTS[term].items() if variant.function is not None)
+    return tuple(
+        name for name, variant in VARIANTS[term].items() if not isinstance(variant.estimator, Compiled)
+    )

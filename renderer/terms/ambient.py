@@ -25,6 +25,7 @@ from termwise.renderer.photon_map import PhotonMap
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sobol import Sampler, sample_2d
 from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
+from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Chain, Variant
 from termwise.renderer.vector import (
     Vec3,
@@ -192,7 +193,7 @@ VARIANTS = (
     Variant(
         name="cosine",
         term="ambient",
-        driver=_occlusion,
+        estimator=Compiled(_occlusion),
         split=lambda scene: SPLIT,
         inputs=_inputs(COSINE),
         limit=lambda scene, samples: _limit(scene),
@@ -204,7 +205,7 @@ VARIANTS = (
     Variant(
         name="uniform",
         term="ambient",
-        driver=_occlusion,
+        estimator=Compiled(_occlusion),
         split=lambda scene: SPLIT,
         inputs=_inputs(UNIFORM),
         limit=lambda scene, samples: _limit(scene),
@@ -216,7 +217,7 @@ VARIANTS = (
     Variant(
         name="paper",
         term="ambient",
-        driver=_occlusion,
+        estimator=Compiled(_occlusion),
         split=lambda scene: SPLIT,
         inputs=_inputs(PAPER),
         limit=lambda scene, samples: _limit(scene, factor=math.pi),
@@ -229,7 +230,7 @@ VARIANTS = (
     Variant(
         name="paper-loop",
         term="ambient",
-        driver=_occlusion,
+        estimator=Compiled(_occlusion),
         split=lambda scene: SPLIT,
         inputs=_inputs(PAPER_LOOP),
         limit=lambda scene, samples: _limit(scene, factor=0.5, rings=scene.rings),
@@ -241,7 +242,7 @@ VARIANTS = (
     Variant(
         name="constant",
         term="ambient",
-        driver=_occlusion,
+        estimator=Compiled(_occlusion),
         split=lambda scene: SPLIT,
         inputs=_inputs(CONSTANT),
         limit=lambda scene, samples: Limit("ambient", occluded=False, shadows=scene.shadows),

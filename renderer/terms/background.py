@@ -12,6 +12,7 @@ from termwise.renderer.jit import kernel
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sky import sky_radiance
 from termwise.renderer.surface import surface_of
+from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
 from termwise.renderer.vector import column, vec3
 from termwise.scenes.limits import Limit
@@ -38,7 +39,7 @@ VARIANTS = (
     Variant(
         name="seen",
         term="background",
-        driver=_seen,
+        estimator=Compiled(_seen),
         limit=lambda scene, samples: Limit("background"),
         kind="right",
         equation=r"\frac{1}{N} \sum_k L_{\text{sky}}(\omega_k) \text{ or } L_e",

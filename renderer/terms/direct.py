@@ -22,6 +22,7 @@ from termwise.renderer.rng import fold
 from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
 from termwise.renderer.surface import Surface, put_occlusion_ray, shadowed, surface_of, trace
+from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
 from termwise.renderer.vector import (
     Vec3,
@@ -274,7 +275,7 @@ VARIANTS = (
     Variant(
         name="next-event",
         term="direct",
-        driver=_next_event,
+        estimator=Compiled(_next_event),
         limit=lambda scene, samples: (
             _limit(scene, samples)
             if scene.scope == "all"
@@ -295,7 +296,7 @@ VARIANTS = (
     Variant(
         name="path",
         term="direct",
-        driver=_path,
+        estimator=Compiled(_path),
         limit=lambda scene, samples: Limit("direct", scope="all", shadows=scene.shadows),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \sum_j \beta_j \frac{L_e \cos\theta \cos\theta'}{d^2\, p}",
@@ -306,7 +307,7 @@ VARIANTS = (
     Variant(
         name="paper",
         term="direct",
-        driver=_nearest,
+        estimator=Compiled(_nearest),
         limit=_limit,
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
@@ -322,7 +323,7 @@ VARIANTS = (
     Variant(
         name="paper-unweighted",
         term="direct",
-        driver=_nearest,
+        estimator=Compiled(_nearest),
         limit=_limit,
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
@@ -339,7 +340,7 @@ VARIANTS = (
     Variant(
         name="photon-map",
         term="direct",
-        driver=_photon_map,
+        estimator=Compiled(_photon_map),
         limit=_limit,
         kind="right",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \sum_p \Phi_p K_{r_k}(x_p - x) / M_{r_k}",
@@ -353,7 +354,7 @@ VARIANTS = (
     Variant(
         name="nearest",
         term="direct",
-        driver=_nearest,
+        estimator=Compiled(_nearest),
         limit=_limit,
         kind="right",
         equation=r"\frac{1}{N} \sum_k \frac{k - 1}{k} \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",

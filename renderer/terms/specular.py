@@ -38,6 +38,7 @@ from termwise.renderer.surface import Surface, shadowed, surface_of, trace
 from termwise.renderer.terms.ambient import COSINE, ambient_radiance
 from termwise.renderer.terms.ambient import PAPER as PAPER_AMBIENT
 from termwise.renderer.terms.direct import direct_nearest, direct_next_event, direct_path
+from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Chain, Stored, Variant
 from termwise.renderer.vector import (
     Vec3,
@@ -213,7 +214,7 @@ VARIANTS = (
     Variant(
         name="vndf",
         term="specular",
-        driver=_chain,
+        estimator=Compiled(_chain),
         inputs=_inputs(VNDF),
         photons=_photons,
         limit=_limit(),
@@ -225,7 +226,7 @@ VARIANTS = (
     Variant(
         name="uniform",
         term="specular",
-        driver=_chain,
+        estimator=Compiled(_chain),
         inputs=_inputs(UNIFORM),
         photons=_photons,
         limit=_limit(),
@@ -237,7 +238,7 @@ VARIANTS = (
     Variant(
         name="paper",
         term="specular",
-        driver=_chain,
+        estimator=Compiled(_chain),
         inputs=_inputs(PAPER),
         photons=_photons,
         limit=_limit(4.0 / math.pi),
@@ -250,7 +251,7 @@ VARIANTS = (
     Variant(
         name="paper-literal",
         term="specular",
-        driver=_chain,
+        estimator=Compiled(_chain),
         inputs=_inputs(PAPER_LITERAL),
         photons=_photons,
         limit=_limit(4.0 / math.pi, cosine="outgoing"),
@@ -262,7 +263,7 @@ VARIANTS = (
     Variant(
         name="paper-code",
         term="specular",
-        driver=_chain,
+        estimator=Compiled(_chain),
         inputs=_inputs(PAPER_CODE),
         photons=_photons,
         limit=_rings(2.0 / math.pi),
@@ -274,7 +275,7 @@ VARIANTS = (
     Variant(
         name="paper-code-no-pi",
         term="specular",
-        driver=_chain,
+        estimator=Compiled(_chain),
         inputs=_inputs(PAPER_CODE_NO_PI),
         photons=_photons,
         limit=_rings(2.0),

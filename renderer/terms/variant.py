@@ -4,9 +4,9 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import attrs
-import numpy as np
 
 from termwise.renderer.photon_map import PhotonMap
+from termwise.renderer.terms.estimator import Estimator
 from termwise.scenes.limits import Kernel, Limit
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import Term
@@ -18,7 +18,6 @@ Chain = Literal["next-event", "path", "paper"]
 # Photons kept in a map: those that were scattered at least once, or all; or all, those that survive the roulette being
 # left as they were.
 Stored = Literal["scattered", "all", "unweighted"]
-Function = Callable[[Scene, int, int], np.ndarray]
 
 
 @attrs.frozen
@@ -29,11 +28,8 @@ class Variant:
     ----------
     name : the variant's name within its term.
     term : the term it estimates.
-    driver : the kernel `driver(scene, *inputs, key, work, out, scratch)`, which adds the samples of all tiles of
-        `work` (see `film.item_of`) to `out` (H, W, 3) float64.
-    function : (scene, samples, seed) -> image (H, W, 3), linear radiance, in place of a driver: an estimator in
-        Python, see `renderer.terms.register`.
-    inputs : (scene, chain, photon map) -> the driver's further arguments.
+    estimator : what computes it: a kernel, or a function in Python (see `renderer.terms.register`).
+    inputs : (scene, chain, photon map) -> a kernel's further arguments.
     limit : (scene, samples) -> Limit, what it converges to; for estimates with a shrinking kernel the limit is that of
         so many samples.
     kind : "right" where the limit is the term's true integral, else "wrong".
@@ -57,8 +53,7 @@ class Variant:
     equation: str
     converges_to: str
     source: str
-    driver: Callable[..., None] | None = None
-    function: Function | None = None
+    estimator: Estimator
     inputs: Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]] = lambda scene, chain, photons: ()
     split: Callable[[Scene], int] = lambda scene: 1
     photons: Callable[[Scene, Chain], Stored | None] = lambda scene, chain: None
@@ -68,11 +63,6 @@ class Variant:
     ratio: Callable[[Scene], float | None] = lambda scene: None
     judged: bool = True
     why_not: str = ""
-
-    @property
-    def estimator(self) -> str:
-        """Name of the kernel or of the function that computes it."""
-        return getattr(self.driver or self.function, "__name__", "function").strip("_")
 
     def by_nearest(self, scene: Scene, chain: Chain) -> bool:
         """Whether its maps are searched for the k nearest photons, whose mean depends on how many are emitted."""

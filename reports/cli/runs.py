@@ -70,6 +70,9 @@ def compare(
     mitsuba = terminal.choose_backend(backend)
     if estimators is not None:
         run_file(estimators)
+        for term, name, why in studies.unkept():
+            line = f"termwise: {term} {name}: is computed anew in each run: {why}"
+            terminal.messages.print(line, highlight=False, markup=False)
     chosen = studies.with_registered(studies.load(study))
     if budget is not None:
         chosen = attrs.evolve(chosen, budget=budget)

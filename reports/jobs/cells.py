@@ -1,4 +1,4 @@
-"""Cells (scene, term, variant): the replicate images of an estimator, computed once and kept on disk.
+"""Cells (scene, term, variant): the replicate images of an estimator, each a job, computed once and kept on disk.
 
 A replicate is one file: the float32 means of the first 1, 2, 4, ... N samples, the last of them in float64 too, the
 seconds that each took, and the work that was done. Its name is the digest of all that decides its bits, so a run that
@@ -8,19 +8,18 @@ was interrupted, or one with nothing changed, finds it again.
 import hashlib
 import importlib.metadata
 import zipfile
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 
 import attrs
 import numpy as np
 
-from termwise.renderer.plan import powers_of_two
 from termwise.renderer.scratch import COUNTERS
-from termwise.renderer.terms import Chain, Variant
+from termwise.renderer.terms import VARIANTS, Chain, Variant
 from termwise.renderer.tiles import Engine
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import BLACK, Material, Object, Scene, Toggles
-from termwise.scenes.store import ROOT, sources_digest, write_atomically
+from termwise.scenes.store import write_atomically
 from termwise.scenes.terms import Term
 
 # What cannot change a term's image; `scope` changes direct, and specular through it.
@@ -63,6 +62,37 @@ def _plain(scene: Scene, term: Term) -> Scene:
 
 
 @attrs.frozen(eq=False)
+class Replicate:
+    """One replicate of ours, as a job: all that decides its bits, and its name in the cache. It can be pickled.
+
+    Attributes
+    ----------
+    variant : by name, so that any process which knows it can take the job.
+    counts : the prefixes whose images are kept, the last of them all samples.
+    key : sha256 of all that decides the bits but the number, see `key`.
+    number : of the replicate.
+    """
+
+    scene: Scene
+    term: Term
+    variant: str
+    counts: tuple[int, ...]
+    seed: int
+    chain: Chain
+    key: str
+    number: int
+
+    @property
+    def what(self) -> str:
+        """As progress names it."""
+        return f"{self.scene.name}: {self.term} {self.variant}"
+
+    def path(self, folder: Path) -> Path:
+        """Its file in the folder of the cache."""
+        return _path(folder, self.key, self.number)
+
+
+@attrs.frozen(eq=False)
 class Cell:
     """Replicates of one variant.
 
@@ -71,7 +101,7 @@ class Cell:
     own : the limit that it is judged against.
     samples : (P,) the prefixes 1, 2, 4, ..., N, or N alone.
     images : (K, P, H, W, 3) float32.
-    files : of the replicates, in order; none of an estimator in Python.
+    files : of the replicates, in order.
     seconds : (K, P) float64, wall-clock up to each prefix, compilation apart.
     counts : work done for all replicates, by name of `renderer.scratch.COUNTERS`.
     kernels : that it took.
@@ -90,101 +120,98 @@ class Cell:
     compile_seconds: float
     key: str
 
-    def rendered(self, replicate: int) -> np.ndarray | None:
-        """Mean of all samples of a replicate as it was rendered, (H, W, 3) float64; None of an estimator in Python."""
-        if not self.files:
-            return None
+    def rendered(self, replicate: int) -> np.ndarray:
+        """Mean of all samples of a replicate as it was rendered, (H, W, 3) float64."""
         with np.load(self.files[replicate]) as arrays:
             return arrays["rendered"]
 
 
-def key(scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain) -> str:
-    """sha256 of all that decides a replicate's bits but its number."""
+def key(
+    scene: Scene, variant: Variant, *, samples: int, seed: int, chain: Chain, fingerprint: str | None = None
+) -> str:
+    """sha256 of all that decides a replicate's bits but its number.
+
+    `fingerprint` : of the variant's estimator; it is asked for its own without one.
+    """
     versions = [importlib.metadata.version(package) for package in ("numba", "numpy")]
-    sources = sources_digest(ROOT / "renderer", ROOT / "scenes")
-    used = chain if variant.term == "specular" else ""
+    estimator = variant.estimator
     settings = (
-        content(scene, variant, chain=chain),
+        scene.digest(without=()) if estimator.sees_all else content(scene, variant, chain=chain),
         variant.term,
         variant.name,
         samples,
         seed,
-        used,
+        chain if variant.term == "specular" else "",
         versions,
-        sources,
+        estimator.fingerprint() if fingerprint is None else fingerprint,
     )
     return hashlib.sha256(repr(settings).encode()).hexdigest()
 
 
-def cell(
-    engine: Engine,
-    variant: Variant,
-    *,
-    own: Limit,
-    samples: int,
-    replicates: int,
-    seed: int,
-    chain: Chain,
-    folder: Path,
-    progress: Callable[[], object],
-    before: Cell | None = None,
-    swept: bool = True,
-) -> Cell:
-    """Take the replicates of a cell from `folder`; compute and keep those that it lacks.
-
-    `swept`: whether images are kept at 1, 2, 4, ... samples, or at the last alone. `progress` is called after each
-    replicate. `before` are the first replicates of the same cell, where a run has them at hand: they are not taken
-    again.
-    """
-    name = key(engine.scene, variant, samples=samples, seed=seed, chain=chain)
-    prefixes = powers_of_two(samples) if swept else (samples,)
-    width, height = engine.scene.resolution
-    compiled = engine.compile_seconds
-    images, seconds, files, counts = [], [], [], np.zeros(len(COUNTERS), np.int64)
-    kernels: tuple[str, ...] = ()
-    if before is not None:
-        images, seconds, files = list(before.images), list(before.seconds), list(before.files)
-        counts += np.array(list(before.counts.values()))
-        kernels = before.kernels
-    for replicate in range(len(images), replicates):
-        path = folder / name[:2] / f"{name}-{replicate:04d}.npz"
-        # An estimator in Python is not known by its source alone: it is computed each time.
-        kept = _read(path, (len(prefixes), height, width, 3)) if variant.function is None else None
-        if kept is None:
-            done = np.array(list(engine.counts.values()))
-            steps = list(
-                engine.prefixes(
-                    variant, samples=samples, seed=seed, replicate=replicate, chain=chain, counts=prefixes
-                )
-            )
-            kept = {
-                "images": np.stack([image for _, image, _ in steps]).astype(np.float32),
-                "rendered": steps[-1][1],
-                "seconds": np.array([spent for _, _, spent in steps]),
-                "counts": np.array(list(engine.counts.values())) - done,
-                "kernels": np.array(engine.kernels_of(variant, chain=chain), np.str_),
-            }
-            if variant.function is None:
-                write_atomically(path, lambda temporary, kept=kept: np.savez(temporary, **kept))
-        images.append(kept["images"])
-        if variant.function is None:
-            files.append(path)
-        seconds.append(kept["seconds"])
-        counts += kept["counts"]
-        kernels = tuple(kept["kernels"].tolist())
-        progress()
-    return Cell(
-        variant,
-        own,
-        prefixes,
-        np.stack(images),
-        tuple(files),
-        np.stack(seconds),
-        dict(zip(COUNTERS, counts.tolist(), strict=True)),
-        kernels,
-        engine.compile_seconds - compiled,
-        name,
+def take(engine: Engine, job: Replicate, folder: Path) -> bool:
+    """Compute a replicate and keep it in `folder`, unless it is there; whether it was not."""
+    width, height = job.scene.resolution
+    path = job.path(folder)
+    if _read(path, (len(job.counts), height, width, 3)) is not None:
+        return False
+    variant = VARIANTS[job.term][job.variant]
+    done = np.array(list(engine.counts.values()))
+    steps = list(
+        engine.prefixes(
+            variant,
+            samples=job.counts[-1],
+            seed=job.seed,
+            replicate=job.number,
+            chain=job.chain,
+            counts=job.counts,
+        )
     )
+    arrays = {
+        "images": np.stack([image for _, image, _ in steps]).astype(np.float32),
+        "rendered": steps[-1][1],
+        "seconds": np.array([spent for _, _, spent in steps]),
+        "counts": np.array(list(engine.counts.values())) - done,
+        "kernels": np.array(engine.kernels_of(variant, chain=job.chain), np.str_),
+    }
+    write_atomically(path, lambda temporary: np.savez(temporary, **arrays))
+    return True
+
+
+def read(jobs: Sequence[Replicate], own: Limit, folder: Path, *, compile_seconds: float = 0.0) -> Cell:
+    """The replicates of one cell, all of which are kept.
+
+    Raises
+    ------
+    ValueError
+        One of them is missing or damaged.
+    """
+    first = jobs[0]
+    width, height = first.scene.resolution
+    kept = []
+    for job in jobs:
+        found = _read(job.path(folder), (len(job.counts), height, width, 3))
+        if found is None:
+            raise ValueError(
+                f"{job.path(folder)}: is missing or damaged: allowed is a replicate that was kept"
+            )
+        kept.append(found)
+    counts = np.sum([each["counts"] for each in kept], axis=0)
+    return Cell(
+        VARIANTS[first.term][first.variant],
+        own,
+        first.counts,
+        np.stack([each["images"] for each in kept]),
+        tuple(job.path(folder) for job in jobs),
+        np.stack([each["seconds"] for each in kept]),
+        dict(zip(COUNTERS, counts.tolist(), strict=True)),
+        tuple(kept[-1]["kernels"].tolist()),
+        compile_seconds,
+        first.key,
+    )
+
+
+def _path(folder: Path, name: str, number: int) -> Path:
+    return folder / name[:2] / f"{name}-{number:04d}.npz"
 
 
 def _read(path: Path, shape: tuple[int, ...]) -> dict[str, np.ndarray] | None:

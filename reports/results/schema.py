@@ -1,10 +1,12 @@
 """A finished run as it is read again: `results.json` of one schema, whole, or a sentence that says why not."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import h5netcdf
+import numpy as np
 
 SCHEMA = 1
 """Of `results.json`: another number, another meaning."""
@@ -67,6 +69,19 @@ def check_images(run: Path) -> None:
     except Exception as error:  # h5py raises OSError, KeyError and RuntimeError alike
         reason = " ".join(str(error).split())
         raise ValueError(f"{path}: is cut short or no NetCDF ({reason}): allowed is {_WRITER}") from None
+
+
+def plain(value: Any) -> Any:
+    """JSON has no NaN, no infinity, no NumPy numbers: the first two become null."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 _WRITER = "what `termwise compare` writes"

@@ -12,14 +12,13 @@ What an audit does not exclude is printed with it: its smallest detectable bias.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 import attrs
 import numpy as np
 
 from termwise import reference
-from termwise.reference import backend, store
+from termwise.reference import store
 from termwise.reports.statistics import verdict
 from termwise.reports.statistics.verdict import Statistics
 from termwise.scenes.limits import Limit, correct
@@ -53,29 +52,40 @@ class Audit:
     seconds: float
 
 
+def second_limits(scene: Scene, asked: Iterable[Limit]) -> list[Limit]:
+    """Those of the limits that a second integrator is rendered for: each that serves the true integral of a term."""
+    found: dict[Limit, Limit] = {}
+    for limit in asked:
+        served = reference.shared(scene, limit)
+        plain = limit.transport != "physical" and served == reference.shared(
+            scene, correct(limit.term, scene.scope)
+        )
+        if plain and reference.has_second(scene, served):
+            found.setdefault(served, limit)
+    return list(found.values())
+
+
+def second_samples(spp: int) -> int:
+    """Samples of a second integrator's replicate: a quarter of the reference's."""
+    return max(1, spp // 4)
+
+
 def audits(
     scene: Scene,
     rendered: Mapping[Limit, store.Replicates],
+    seconds: Mapping[Limit, store.Replicates],
     *,
-    by_second: bool,
-    seed: int,
-    folder: Path,
     compare: Callable[[np.ndarray, np.ndarray, str], Statistics],
-    progress: Callable[[str], object],
 ) -> list[Audit]:
     """Measure the references of a scene against themselves.
 
     Parameters
     ----------
     scene, rendered : replicates of each limit that a judged row is measured against.
-    by_second : whether second integrators are rendered too, for the true integral of each term where it has one and
-        Mitsuba is vectorised: a quarter of the samples, as many replicates.
-    seed, folder : as of the references.
+    seconds : by a second integrator, of those of `second_limits` that were rendered: as many replicates.
     compare : (ours, reference, what) -> `verdict.measure` with the objects of the scene.
-    progress : called with the kind of work, after each replicate.
     """
     found: list[Audit] = []
-    vectorised = backend.choose().variant != "scalar_rgb"
     done: set[Limit] = set()
     for limit, kept in rendered.items():
         served = reference.shared(scene, limit)
@@ -87,28 +97,10 @@ def audits(
         if half >= verdict.REPLICATES_NEEDED:
             halves = compare(images[:half], images[half:], f"reference {limit.term}, halves")
             found.append(Audit(scene.name, served, "halves", halves, kept.spp, 0.0))
-        plain = served == reference.shared(scene, correct(limit.term, scene.scope))
-        if by_second and plain and reference.has_second(scene, served) and vectorised:
-            other = store.replicates(
-                scene,
-                limit,
-                spp=max(1, kept.spp // 4),
-                seed=seed,
-                count=len(images),
-                folder=folder,
-                progress=lambda limit=limit: progress(f"{scene.name}: second integrator of {limit.term}"),
-                by_second=True,
-            )
-            found.append(
-                Audit(
-                    scene.name,
-                    served,
-                    "second integrator",
-                    compare(images, other.images, f"reference {limit.term}, second integrator"),
-                    other.spp,
-                    float(np.sum(other.seconds)),
-                )
-            )
+        if (other := seconds.get(limit)) is not None:
+            against = compare(images, other.images, f"reference {limit.term}, second integrator")
+            spent = float(np.sum(other.seconds))
+            found.append(Audit(scene.name, served, "second integrator", against, other.spp, spent))
     return found
 
 

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 import attrs
 
+from termwise.renderer.fingerprint import Unknown
 from termwise.renderer.terms import VARIANTS, Chain, Variant, find, registered
 from termwise.reports.statistics.convergence import RADII_NEEDED
 from termwise.scenes import strict
@@ -193,6 +194,18 @@ def load(study: str | Path) -> Study:
             f"{study}: no such study: allowed are {', '.join(studies())} or a path that ends in .toml"
         )
     return strict.read(path, Study, strict.converter())
+
+
+def unkept() -> list[tuple[Term, str, str]]:
+    """Term, name and reason of the registered estimators without a fingerprint: their images last for one run."""
+    found = []
+    for term in VARIANTS:
+        for name in registered(term):
+            try:
+                VARIANTS[term][name].estimator.fingerprint()
+            except Unknown as error:
+                found.append((term, name, str(error)))
+    return found
 
 
 def with_registered(study: Study) -> Study:

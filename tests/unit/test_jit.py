@@ -170,5 +170,8 @@ print(*compiled_kernels(), sep=",")
 
 def test_users_own_cache_folder_stays(copy):
     """Numba's CACHE_DIR is set during our calls only."""
-    code = "from numba.core import config as c; before = c.CACHE_DIR; import termwise.renderer; print(c.CACHE_DIR == before)"
+    code = (
+        "from numba.core import config as c; before = c.CACHE_DIR; "
+        "import termwise.renderer; print(c.CACHE_DIR == before)"
+    )
     assert run(copy, code) == "True"

@@ -1,0 +1,231 @@
+"""The desk of a run: it lists jobs, has them done, and reads what they made; what they took is in its ledger."""
+
+import uuid
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+import attrs
+
+from termwise import reference
+from termwise.reference import store
+from termwise.renderer.fingerprint import Unknown
+from termwise.renderer.plan import powers_of_two
+from termwise.renderer.terms import Chain, Variant, find
+from termwise.renderer.terms.estimator import sent
+from termwise.reports.jobs import cells
+from termwise.reports.jobs.cells import Cell, Replicate
+from termwise.reports.jobs.executors import Executor, Job
+from termwise.reports.jobs.references import ReferenceReplicate, reference_jobs
+from termwise.reports.statistics.sequential import Item, Ledger
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
+
+# Of the replicates of a reference at the first look, where Mitsuba has no fast backend.
+_SCALAR_SECONDS = 60.0
+
+Report = Callable[[str, int, int], object]
+"""(what, done, of all), called as work goes on."""
+
+
+@attrs.frozen(eq=False)
+class Measured:
+    """A variant on a scene, as a cell is asked for: `samples` a replicate, all prefixes or (not `swept`) the last."""
+
+    scene: Scene
+    variant: Variant
+    own: Limit
+    samples: int
+    chain: Chain
+    swept: bool = True
+
+
+class Desk:
+    """Has jobs done by an executor.
+
+    Parameters
+    ----------
+    executor : does them.
+    cache : the folder of what is kept.
+    seed, replicates, reference_replicates : of the study; looks take multiples of them.
+    report : called as jobs end.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        cache: Path,
+        *,
+        seed: int,
+        replicates: int,
+        reference_replicates: int,
+        report: Report,
+    ) -> None:
+        self.ledger = Ledger()
+        self.failed: dict[str, Exception] = {}
+        self._executor, self._cache = executor, cache
+        self._seed, self._replicates, self._reference_replicates = seed, replicates, reference_replicates
+        self._report, self._done, self._steps = report, 0, 0
+        self._compile_seconds: dict[str, float] = {}
+        self._fingerprints: dict[Variant, str] = {}
+        # In the place of a fingerprint that cannot be told: no other run may take such images for its own.
+        self._token = uuid.uuid4().hex
+        self._unknown: set[str] = set()
+
+    def close(self) -> None:
+        """Remove what was kept for this run alone."""
+        for name in self._unknown:
+            for path in (self._cache / "cells" / name[:2]).glob(f"{name}-*.npz"):
+                path.unlink(missing_ok=True)
+
+    def say(self, what: str) -> None:
+        """Report what is going on."""
+        self._report(what, self._done, self._steps)
+
+    # Listing.
+
+    def jobs(self, asked: Measured, *, factor: int = 1) -> list[Replicate]:
+        """`factor` times the replicates of the study."""
+        name = self._key(asked)
+        variant = asked.variant
+        counts = powers_of_two(asked.samples) if asked.swept else (asked.samples,)
+        return [
+            Replicate(asked.scene, variant.term, variant.name, counts, self._seed, asked.chain, name, number)
+            for number in range(factor * self._replicates)
+        ]
+
+    def reference_jobs(
+        self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False
+    ) -> list[ReferenceReplicate]:
+        """`factor` times the reference replicates of the study, as far as Mitsuba's backend affords them."""
+        paced = self.pace(scene, limit, factor=factor, spp=spp, by_second=by_second)
+        return reference_jobs(scene, limit, paced, seed=self._seed, by_second=by_second)
+
+    def pace(
+        self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False
+    ) -> store.Pace:
+        """Samples and replicates of a reference: all that are asked for, but on `scalar_rgb`, where a pilot decides."""
+        return store.pace(
+            scene,
+            limit,
+            spp=spp,
+            seed=self._seed,
+            count=factor * self._reference_replicates,
+            folder=self._cache / "reference",
+            budget_s=factor * _SCALAR_SECONDS,
+            by_second=by_second,
+        )
+
+    def _key(self, asked: Measured) -> str:
+        variant = asked.variant
+        # Asked once a run: what a function's names stand for may change between runs, and does as it is called.
+        if variant not in self._fingerprints:
+            try:
+                self._fingerprints[variant] = variant.estimator.fingerprint()
+            except Unknown:
+                self._fingerprints[variant] = self._token
+        found = self._fingerprints[variant]
+        name = cells.key(
+            asked.scene,
+            variant,
+            samples=asked.samples,
+            seed=self._seed,
+            chain=asked.chain,
+            fingerprint=found,
+        )
+        if found == self._token:
+            self._unknown.add(name)
+        return name
+
+    # Doing.
+
+    def run(self, jobs: Iterable[Job], *, forgiven: Mapping[str, str] | None = None) -> None:
+        """Have jobs done.
+
+        Parameters
+        ----------
+        jobs : in an order that is good for one process; equal ones are done once.
+        forgiven : scenes whose failure loses no others' results, each with the scene that it needs: `failed` then says
+            why, and their other jobs are dropped.
+
+        Raises
+        ------
+        Exception
+            That of a job of any other scene.
+        ValueError
+            An estimator that has to be sent to another process and cannot; the message names it.
+        """
+        unlike = {_name(job): job for job in jobs}
+        if self._executor.elsewhere:
+            self._send(unlike.values())
+        needs = forgiven or {}
+        self._steps += len(unlike)
+
+        def dropped(job: Job) -> bool:
+            name = job.scene.name
+            return name in self.failed or needs.get(name) in self.failed
+
+        for outcome in self._executor.run(list(unlike.values()), self._cache, dropped):
+            job = outcome.job
+            self._done += 1
+            if outcome.error is not None:
+                if job.scene.name not in needs:
+                    raise outcome.error
+                self.failed.setdefault(job.scene.name, outcome.error)
+            elif isinstance(job, Replicate):
+                spent = self._compile_seconds.get(job.key, 0.0)
+                self._compile_seconds[job.key] = spent + outcome.compile_seconds
+            self.say(job.what)
+
+    @staticmethod
+    def _send(jobs: Iterable[Job]) -> None:
+        """Refuse estimators that another process cannot get."""
+        for term, name in {(job.term, job.variant) for job in jobs if isinstance(job, Replicate)}:
+            sent(term, name, find(term, name).estimator)
+
+    # Reading.
+
+    def cell(self, asked: Measured, *, factor: int = 1) -> Cell:
+        """What the `jobs` of a cell have made; its compilation is that of all looks."""
+        jobs = self.jobs(asked, factor=factor)
+        return cells.read(
+            jobs,
+            asked.own,
+            self._cache / "cells",
+            compile_seconds=self._compile_seconds.get(jobs[0].key, 0.0),
+        )
+
+    def reference(
+        self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False
+    ) -> store.Replicates:
+        """What the `reference_jobs` of a limit have made."""
+        paced = self.pace(scene, limit, factor=factor, spp=spp, by_second=by_second)
+        kept = store.kept(
+            scene,
+            limit,
+            spp=paced.spp,
+            seed=self._seed,
+            count=paced.count,
+            folder=self._cache / "reference",
+            by_second=by_second,
+        )
+        return kept._replace(shortfall=paced.shortfall)
+
+    def book(
+        self, scene: Scene, taken: Sequence[Cell], kept: Mapping[Limit, store.Replicates]
+    ) -> dict[Item, int]:
+        """Put down the seconds of what a judged row is made of; returns its replicates."""
+        seconds = {Item("ours", cell.key): cell.seconds[:, -1] for cell in taken}
+        for limit, each in kept.items():
+            name = store.key(scene, reference.shared(scene, limit), spp=each.spp, seed=self._seed)
+            seconds[Item("reference", name)] = each.seconds
+        for item, each in seconds.items():
+            self.ledger.book(item, each)
+        return {item: len(each) for item, each in seconds.items()}
+
+
+def _name(job: Job) -> tuple[object, ...]:
+    """Equal for jobs that make the same file."""
+    if isinstance(job, Replicate):
+        return job.key, job.number
+    # Of one scene by its object: its content decides the file's name, which costs more to tell.
+    return id(job.scene), job.limit, job.spp, job.number, job.by_second
