@@ -15,7 +15,7 @@ from termwise.renderer.tiles import Engine
 from termwise.reports.jobs.cells import Cell
 from termwise.reports.jobs.desk import Desk, Measured
 from termwise.reports.jobs.executors import Job
-from termwise.reports.results import images
+from termwise.reports.results import images, radii
 from termwise.reports.results.rows import (
     Compare,
     Measurement,
@@ -29,7 +29,7 @@ from termwise.reports.results.rows import (
 from termwise.reports.statistics import sequential, verdict
 from termwise.reports.statistics.sequential import Item
 from termwise.reports.statistics.verdict import Statistics
-from termwise.reports.study import audits, radii
+from termwise.reports.study import audits
 from termwise.reports.study.exact import Case
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import CHAIN, Subject, own_limit

@@ -25,8 +25,9 @@ from termwise.reference import backend
 from termwise.renderer.fingerprint import Unknown
 from termwise.renderer.terms import find, registered
 from termwise.reports.bench.common import processor
-from termwise.reports.jobs.desk import Desk, Report
-from termwise.reports.jobs.executors import Executor, InThisProcess
+from termwise.reports.cli.progress import Report
+from termwise.reports.jobs.desk import Desk
+from termwise.reports.jobs.executors import Executor
 from termwise.reports.looks import Group, Source, exact_group, jobs, of_case
 from termwise.reports.results import images
 from termwise.reports.results import schema as stored
@@ -117,14 +118,7 @@ def measure(
     dict
         What `results.json` holds.
     """
-    desk = Desk(
-        executor or InThisProcess(),
-        cache_folder(),
-        seed=study.seed,
-        replicates=study.replicates,
-        reference_replicates=study.reference_replicates,
-        report=report,
-    )
+    desk = Desk(study, cache_folder(), executor=executor, report=report)
     try:
         results = _Run(study, scenes, folder, desk).results(name, arguments)
     finally:

@@ -1,7 +1,7 @@
 """The desk of a run: it lists jobs, has them done, and reads what they made; what they took is in its ledger."""
 
 import uuid
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import attrs
@@ -12,19 +12,18 @@ from termwise.renderer.fingerprint import Unknown
 from termwise.renderer.plan import powers_of_two
 from termwise.renderer.terms import Chain, Variant, find
 from termwise.renderer.terms.estimator import sent
+from termwise.reports.cli.progress import Report, silent
 from termwise.reports.jobs import cells
 from termwise.reports.jobs.cells import Cell, Replicate
-from termwise.reports.jobs.executors import Executor, Job
+from termwise.reports.jobs.executors import Executor, InThisProcess, Job
 from termwise.reports.jobs.references import ReferenceReplicate, reference_jobs
 from termwise.reports.statistics.sequential import Item, Ledger
+from termwise.reports.study.study import Study
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 
 # Of the replicates of a reference at the first look, where Mitsuba has no fast backend.
 _SCALAR_SECONDS = 60.0
-
-Report = Callable[[str, int, int], object]
-"""(what, done, of all), called as work goes on."""
 
 
 @attrs.frozen(eq=False)
@@ -44,26 +43,24 @@ class Desk:
 
     Parameters
     ----------
-    executor : does them.
+    study : its seed and its replicates, of which looks take multiples.
     cache : the folder of what is kept.
-    seed, replicates, reference_replicates : of the study; looks take multiples of them.
+    executor : does them; by default this process.
     report : called as jobs end.
+
+    Attributes
+    ----------
+    ledger : the seconds of what judged rows are made of.
+    failed : of each scene that is forgiven, why a job of it failed.
     """
 
     def __init__(
-        self,
-        executor: Executor,
-        cache: Path,
-        *,
-        seed: int,
-        replicates: int,
-        reference_replicates: int,
-        report: Report,
+        self, study: Study, cache: Path, *, executor: Executor | None = None, report: Report = silent
     ) -> None:
         self.ledger = Ledger()
         self.failed: dict[str, Exception] = {}
-        self._executor, self._cache = executor, cache
-        self._seed, self._replicates, self._reference_replicates = seed, replicates, reference_replicates
+        self._study, self._cache = study, cache
+        self._executor = executor or InThisProcess()
         self._report, self._done, self._steps = report, 0, 0
         self._compile_seconds: dict[str, float] = {}
         self._fingerprints: dict[Variant, str] = {}
@@ -89,8 +86,10 @@ class Desk:
         variant = asked.variant
         counts = powers_of_two(asked.samples) if asked.swept else (asked.samples,)
         return [
-            Replicate(asked.scene, variant.term, variant.name, counts, self._seed, asked.chain, name, number)
-            for number in range(factor * self._replicates)
+            Replicate(
+                asked.scene, variant.term, variant.name, counts, self._study.seed, asked.chain, name, number
+            )
+            for number in range(factor * self._study.replicates)
         ]
 
     def reference_jobs(
@@ -98,7 +97,7 @@ class Desk:
     ) -> list[ReferenceReplicate]:
         """`factor` times the reference replicates of the study, as far as Mitsuba's backend affords them."""
         paced = self.pace(scene, limit, factor=factor, spp=spp, by_second=by_second)
-        return reference_jobs(scene, limit, paced, seed=self._seed, by_second=by_second)
+        return reference_jobs(scene, limit, paced, seed=self._study.seed, by_second=by_second)
 
     def pace(
         self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False
@@ -108,8 +107,8 @@ class Desk:
             scene,
             limit,
             spp=spp,
-            seed=self._seed,
-            count=factor * self._reference_replicates,
+            seed=self._study.seed,
+            count=factor * self._study.reference_replicates,
             folder=self._cache / "reference",
             budget_s=factor * _SCALAR_SECONDS,
             by_second=by_second,
@@ -128,7 +127,7 @@ class Desk:
             asked.scene,
             variant,
             samples=asked.samples,
-            seed=self._seed,
+            seed=self._study.seed,
             chain=asked.chain,
             fingerprint=found,
         )
@@ -203,7 +202,7 @@ class Desk:
             scene,
             limit,
             spp=paced.spp,
-            seed=self._seed,
+            seed=self._study.seed,
             count=paced.count,
             folder=self._cache / "reference",
             by_second=by_second,
@@ -216,7 +215,7 @@ class Desk:
         """Put down the seconds of what a judged row is made of; returns its replicates."""
         seconds = {Item("ours", cell.key): cell.seconds[:, -1] for cell in taken}
         for limit, each in kept.items():
-            name = store.key(scene, reference.shared(scene, limit), spp=each.spp, seed=self._seed)
+            name = store.key(scene, reference.shared(scene, limit), spp=each.spp, seed=self._study.seed)
             seconds[Item("reference", name)] = each.seconds
         for item, each in seconds.items():
             self.ledger.book(item, each)

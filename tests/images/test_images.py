@@ -19,7 +19,7 @@ import pytest
 import xarray
 from PIL import Image
 
-from termwise.reports import run
+from termwise.reports import looks, run
 from termwise.reports.jobs import cells
 from termwise.reports.pages import p_maps, pictures
 from termwise.reports.results import images
@@ -206,15 +206,16 @@ FAULTS: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_planted_fault_is_biased(fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     wrong_term, spoil = FAULTS[fault]
-    intact = cells.cell
+    intact = cells.read
 
-    def spoilt(engine: Any, variant: Any, **settings: Any) -> cells.Cell:
-        cell = intact(engine, variant, **settings)
+    def spoilt(*arguments: Any, **settings: Any) -> cells.Cell:
+        cell = intact(*arguments, **settings)
+        variant = cell.variant
         default = variant.name == getattr(STUDY.variants, variant.term)[0]
         wrong = default and variant.term == wrong_term
         return attrs.evolve(cell, images=spoil(cell.images).astype(np.float32)) if wrong else cell
 
-    monkeypatch.setattr(cells, "cell", spoilt)
+    monkeypatch.setattr(cells, "read", spoilt)
     caught = _caught(tmp_path)
     assert (wrong_term, getattr(STUDY.variants, wrong_term)[0]) in caught
     assert {term for term, _ in caught} <= {wrong_term, "total"}
@@ -222,12 +223,14 @@ def test_planted_fault_is_biased(fault: str, tmp_path: Path, monkeypatch: pytest
 
 def test_planted_half_pixel_shift_is_biased(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Rays through the pixels' corners instead of all over them: a shift by half a pixel, and no mean of its own."""
-    intact = run.Engine
+    intact = looks.of_variant
 
-    def shifted(scene: Scene, **settings: Any) -> Any:
-        return intact(attrs.evolve(scene, camera=attrs.evolve(scene.camera, pixel="corner")), **settings)
+    def shifted(*arguments: Any) -> Any:
+        asked = intact(*arguments)
+        camera = attrs.evolve(asked.scene.camera, pixel="corner")
+        return attrs.evolve(asked, scene=attrs.evolve(asked.scene, camera=camera))
 
-    monkeypatch.setattr(run, "Engine", shifted)
+    monkeypatch.setattr(looks, "of_variant", shifted)
     caught = _caught(tmp_path)
     assert {("ambient", "cosine"), ("background", "seen")} <= caught
 

@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 from termwise.renderer.terms import VARIANTS
-from termwise.reports import run
+from termwise.reports import looks
 from termwise.reports.jobs import cells
+from termwise.reports.jobs.desk import Desk
+from termwise.reports.results import rows
 from termwise.reports.statistics import verdict
 from termwise.reports.study import exact, study
+from termwise.scenes.store import cache_folder
 
 STUDY = study.Study(
     scenes=("monkey",),
@@ -29,9 +32,11 @@ DISC = next(case.scene for case in CASES if case.group == "disc over plane")
 
 def decided(case: exact.Case) -> tuple[dict[str, Any], dict[str, Any]]:
     """The rows of a case against its own limit and against the right one."""
-    own, correct = run._exact_group(run._Takes(STUDY, lambda *_: None), case).rows
+    desk = Desk(STUDY, cache_folder())
+    desk.run(desk.jobs(looks.of_case(case)))
+    own, correct = looks.exact_group(case, desk).rows
     assert own.statistics
-    return run._decided(own, own.statistics.tests, []), run._decided(correct, own.statistics.tests, [])
+    return rows.decided(own, own.statistics.tests, []), rows.decided(correct, own.statistics.tests, [])
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.name} {case.variant.name}")
@@ -51,13 +56,13 @@ def test_a_fault_of_two_percent_is_proven(group: str, monkeypatch: pytest.Monkey
     case = next(
         each for each in CASES if each.group == group and each.variant.name in ("vndf", "cosine", "path")
     )
-    intact = cells.cell
+    intact = cells.read
 
     def spoilt(*arguments: Any, **settings: Any) -> cells.Cell:
         cell = intact(*arguments, **settings)
         return attrs.evolve(cell, images=cell.images * np.float32(1.02))
 
-    monkeypatch.setattr(cells, "cell", spoilt)
+    monkeypatch.setattr(cells, "read", spoilt)
     assert decided(case)[0]["verdict"] == "BIASED"
 
 

@@ -11,8 +11,7 @@ from termwise import reference
 from termwise.reference import backend, store
 from termwise.reports import run
 from termwise.reports.statistics import verdict
-from termwise.reports.study import audits as references
-from termwise.reports.study import study, subjects
+from termwise.reports.study import audits, study, subjects
 from termwise.scenes.limits import Limit, correct, physical
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
@@ -31,19 +30,19 @@ def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 640, change: An
     kept = store.replicates(scene, limit, spp=spp, seed=3, count=16, folder=folder)
     if change:
         kept = kept._replace(images=change(kept.images))
-    rows = references.decide(
-        references.audits(
+    (plain,) = audits.second_limits(scene, [limit])
+    spp = audits.second_samples(spp)
+    second = store.replicates(scene, plain, spp=spp, seed=3, count=16, folder=folder, by_second=True)
+    rows = audits.decide(
+        audits.audits(
             scene,
             {limit: kept},
-            by_second=True,
-            seed=3,
-            folder=folder,
+            {plain: second},
             compare=lambda ours, other, what: verdict.measure(ours, other, scale=1.0),
-            progress=lambda what: None,
         )
     )
     for row in rows:
-        if row["word"] != references.ABSENT:
+        if row["word"] != audits.ABSENT:
             # Where it agrees, it could have seen a few per cent.
             assert row["detectable_bias"] < 0.04, row
     return {row["test"]: row["word"] for row in rows}
@@ -55,13 +54,13 @@ def test_second_integrators_agree(name: str, term: str, tmp_path: Path):
     """All scenes and terms; nothing is allowed to differ, at 5 % over the tests of a pair."""
     words = audited(small(name), term, tmp_path)
     assert set(words) == {"halves", "second integrator"}
-    assert references.DISAGREES not in words.values()
+    assert audits.DISAGREES not in words.values()
 
 
 def test_a_gain_is_found(tmp_path: Path):
     """5 % too bright: the halves agree, the second integrator does not."""
     words = audited(small("cornell_box"), "direct", tmp_path, change=lambda images: images * np.float32(1.05))
-    assert words == {"halves": references.AGREES, "second integrator": references.DISAGREES}
+    assert words == {"halves": audits.AGREES, "second integrator": audits.DISAGREES}
 
 
 def test_a_drift_is_found(tmp_path: Path):
@@ -71,7 +70,7 @@ def test_a_drift_is_found(tmp_path: Path):
         factor = np.where(np.arange(len(images)) < len(images) // 2, 1.0, 1.02).astype(np.float32)
         return images * factor[:, None, None, None]
 
-    assert audited(small("cornell_box"), "direct", tmp_path, change=drift)["halves"] == references.DISAGREES
+    assert audited(small("cornell_box"), "direct", tmp_path, change=drift)["halves"] == audits.DISAGREES
 
 
 def test_a_wrong_weight_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -94,7 +93,7 @@ def test_a_wrong_weight_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         words = audited(small("two_cubes"), "specular", tmp_path)
     finally:
         reference._loaded.clear()
-    assert words["second integrator"] == references.DISAGREES
+    assert words["second integrator"] == audits.DISAGREES
 
 
 def test_which_limits_have_a_second_integrator():
@@ -140,7 +139,7 @@ def test_a_reference_that_disagrees_judges_nobody(tmp_path: Path, monkeypatch: p
         if key[0] == "background" or "paper" in key[1]:
             continue
         assert row["verdict"] == "NO VERDICT", row
-        assert row["reference_audit"] == references.DISAGREES
+        assert row["reference_audit"] == audits.DISAGREES
         assert "second integrator" in row["sentence"]
     assert judged["background", "seen"]["verdict"] != "NO VERDICT"
     assert run.failures(results)

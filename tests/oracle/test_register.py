@@ -14,6 +14,7 @@ import pytest
 import termwise
 from termwise.renderer.terms import VARIANTS, find, registered
 from termwise.reports import cli, run
+from termwise.reports.jobs.executors import InThisProcess
 from termwise.reports.study import study, subjects
 from termwise.scenes.limits import Limit
 from termwise.scenes.load import load
@@ -95,13 +96,90 @@ def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path):
     assert len(asked) == 2 * work["replicates"]
 
 
-def test_a_run_with_python_estimators_is_never_taken_for_an_old_one():
+def test_a_finished_run_is_told_by_what_its_estimators_compute():
+    """The same code is the same run; other code of the same name, or what has no fingerprint, is another one."""
     kept = study.load("quick")
     scenes = subjects.scenes_of(kept, ("cornell_box",))
-    assert run.digest(kept, scenes, "x") == run.digest(kept, scenes, "x")
-    termwise.register("ambient", "black", black, Limit("ambient"))
+    digests = [run.digest(kept, scenes, "x")]
+    for function in (black, lambda scene, samples, seed: black(scene, samples, seed) + 1.0):
+        termwise.register("ambient", "mine", function, Limit("ambient"))
+        new = study.with_registered(kept)
+        digests.append(run.digest(new, scenes, "x"))
+        assert run.digest(new, scenes, "x") == digests[-1]
+        del VARIANTS["ambient"]["mine"]
+    generator = np.random.default_rng(0)
+    termwise.register("ambient", "mine", lambda scene, samples, seed: generator.random(3), Limit("ambient"))
     new = study.with_registered(kept)
-    assert run.digest(new, scenes, "x") != run.digest(new, scenes, "x")
+    digests += [run.digest(new, scenes, "x") for _ in range(2)]
+    assert len(set(digests)) == len(digests)
+    ((term, name, why),) = study.unkept()
+    assert (term, name) == ("ambient", "mine")
+    assert "generator is a Generator" in why
+
+
+def _small(name: str) -> study.Study:
+    return attrs.evolve(
+        study.load("quick"),
+        resolution=(8, 8),
+        replicates=4,
+        reference_replicates=4,
+        reference_spp=4,
+        physical_spp=1,
+        samples={"ambient": 2, "direct": 1, "specular": 1, "background": 1},
+        variants=study.Variants(ambient=(name,), direct=("path",), specular=("vndf",)),
+    )
+
+
+def test_what_it_made_is_kept_like_a_kernels(tmp_path, monkeypatch):
+    """A second run calls nothing; another function of the same name is called anew."""
+    monkeypatch.setattr(run, "cache_folder", lambda: tmp_path / "cache")
+    asked = tmp_path / "asked"
+
+    def counted(scene, samples, seed):
+        with asked.open("a") as file:
+            file.write("x")
+        return np.random.default_rng((seed, samples)).gamma(4.0, 1.0, (*scene.resolution[::-1], 3))
+
+    def means(identity: str) -> float:
+        termwise.register("ambient", "counted", counted, Limit("ambient"), identity=identity)
+        small = _small("counted")
+        scenes = subjects.scenes_of(small, ("two_cubes",))
+        results = run.measure(small, scenes, tmp_path / "out", name="quick", report=lambda *_: None)
+        del VARIANTS["ambient"]["counted"]
+        return next(row["bias"] for row in results["cells"] if row["variant"] == "counted" and row["verdict"])
+
+    first = means("first")
+    assert len(asked.read_text()) == 4 * 2
+    assert means("first") == first
+    assert len(asked.read_text()) == 4 * 2
+    means("second")
+    assert len(asked.read_text()) == 2 * 4 * 2
+
+
+def test_what_has_no_fingerprint_leaves_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "cache_folder", lambda: tmp_path / "cache")
+    generator = np.random.default_rng(0)
+
+    def stateful(scene, samples, seed):
+        return generator.gamma(4.0, 1.0, (*scene.resolution[::-1], 3))
+
+    termwise.register("ambient", "stateful", stateful, Limit("ambient"))
+    small = _small("stateful")
+    scenes = subjects.scenes_of(small, ("two_cubes",))
+    for _ in range(2):
+        run.measure(small, scenes, tmp_path / "out", name="quick", report=lambda *_: None)
+        assert len(list((tmp_path / "cache" / "cells").rglob("*.npz"))) == 3 * 4  # of the other terms
+
+
+def test_what_cannot_be_sent_to_another_process_is_named(tmp_path):
+    class Elsewhere(InThisProcess):
+        elsewhere = True
+
+    termwise.register("ambient", "mine", lambda scene, samples, seed: black(scene, 1, 1), Limit("ambient"))
+    small = _small("mine")
+    scenes = subjects.scenes_of(small, ("two_cubes",))
+    with pytest.raises(ValueError, match="ambient mine: cannot be sent to another process"):
+        run.measure(small, scenes, tmp_path, name="quick", report=lambda *_: None, executor=Elsewhere())
 
 
 def test_replicates_have_seeds_of_their_own_and_prefixes_share_them():

@@ -20,6 +20,8 @@ import OpenEXR
 import pytest
 import xarray
 
+from termwise import reference
+from termwise.renderer import Engine
 from termwise.reports import cli, run
 from termwise.reports.jobs import cells
 from termwise.reports.results.images import read_exr
@@ -108,7 +110,7 @@ def compare(files: Path, patched: pytest.MonkeyPatch) -> Callable[..., Finished]
     """A function: `termwise compare --study ...` in this process, its replicates in a cache that starts empty."""
     patched.setattr(run, "cache_folder", lambda: files / "cache")
     counts = {"computed": 0, "rendered": 0}
-    prefixes, replicate_parts = run.Engine.prefixes, run.store.reference.replicate_parts
+    prefixes, replicate_parts = Engine.prefixes, reference.replicate_parts
 
     def counted_prefixes(self: Any, *arguments: Any, **settings: Any) -> Any:
         counts["computed"] += 1
@@ -118,8 +120,8 @@ def compare(files: Path, patched: pytest.MonkeyPatch) -> Callable[..., Finished]
         counts["rendered"] += 1
         return replicate_parts(*arguments, **settings)
 
-    patched.setattr(run.Engine, "prefixes", counted_prefixes)
-    patched.setattr(run.store.reference, "replicate_parts", counted_parts)
+    patched.setattr(Engine, "prefixes", counted_prefixes)
+    patched.setattr(reference, "replicate_parts", counted_parts)
 
     def command(*arguments: str, out: str = "out", study_file: str = "study.toml") -> Finished:
         counts.update(computed=0, rendered=0)
@@ -474,19 +476,18 @@ def test_a_run_that_is_interrupted_goes_on(first: Finished, compare: Callable[..
     (files / "seeded.toml").write_text(
         (files / "study.toml").read_text().replace("scenes", "seed = 2\nscenes")
     )
-    intact: Any = cells.cell
+    intact: Any = cells.take
     calls = []
 
-    def interrupted(engine: Any, variant: Any, **settings: Any) -> cells.Cell:
-        def progress() -> None:
-            calls.append(variant.name)
-            if len(calls) == 6:
-                raise KeyboardInterrupt
-
-        return intact(engine, variant, **settings | {"progress": progress})
+    def interrupted(engine: Any, job: cells.Replicate, folder: Path) -> bool:
+        made = intact(engine, job, folder)
+        calls.append(job.what)
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return made
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cells, "cell", interrupted)
+        patch.setattr(cells, "take", interrupted)
         stopped = compare("--json", out="seeded", study_file="seeded.toml")
     assert stopped.status == 2
     assert stopped.output == ""
@@ -520,14 +521,14 @@ def test_the_digest_follows_study_and_scene(files: Path):
 def test_exit_status_1_where_an_error_is_proven(
     compare: Callable[..., Finished], patched: pytest.MonkeyPatch
 ):
-    intact = cells.cell
+    intact = cells.read
 
-    def doubled(engine: Any, variant: Any, **settings: Any) -> cells.Cell:
-        cell = intact(engine, variant, **settings)
-        return attrs.evolve(cell, images=2 * cell.images) if variant.name == "cosine" else cell
+    def doubled(*arguments: Any, **settings: Any) -> cells.Cell:
+        cell = intact(*arguments, **settings)
+        return attrs.evolve(cell, images=2 * cell.images) if cell.variant.name == "cosine" else cell
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cells, "cell", doubled)
+        patch.setattr(cells, "read", doubled)
         outcome = compare("--json", out="doubled")
     assert outcome.status == 1
     words = {
@@ -540,15 +541,15 @@ def test_a_scene_that_fails_loses_no_others_results(compare: Callable[..., Finis
     """The run ends with status 2 and names the scene first; the same command tries it again; a run of one fails."""
     (files / "other.toml").write_text(SCENE.replace("gloss = 0.3", "gloss = 0.2"))
     both = str(files / "scene.toml"), str(files / "other.toml")
-    intact = cells.cell
+    intact = cells.take
 
-    def broken(engine: Any, variant: Any, **settings: Any) -> cells.Cell:
-        if engine.scene.name == "other" and variant.term == "specular":
+    def broken(engine: Any, job: cells.Replicate, folder: Path) -> bool:
+        if job.scene.name == "other" and job.term == "specular":
             raise RuntimeError("no kernel\nfor this")
-        return intact(engine, variant, **settings)
+        return intact(engine, job, folder)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cells, "cell", broken)
+        patch.setattr(cells, "take", broken)
         outcome = compare(*both, "--json", out="broken")
         alone = compare(both[1], "--json", out="alone")
     assert outcome.status == 2

@@ -1,16 +1,17 @@
 """Replicates on disk: computed once, found again, never half a file, and named by all that decides their bits."""
 
+import pickle
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import attrs
 import numpy as np
 import pytest
 
-from termwise.renderer import DEFAULTS, render
+from termwise.renderer import DEFAULTS, Engine, render
 from termwise.renderer.scratch import COUNTERS
-from termwise.renderer.terms import VARIANTS
+from termwise.renderer.terms import VARIANTS, estimator
 from termwise.reports.jobs import cells
 from termwise.scenes.load import load
 from termwise.scenes.model import Photons, PointLight, Scene
@@ -52,12 +53,21 @@ class Recorder:
         return ("a", chain)
 
 
-def take(engine: Recorder, folder: Path, **changes: Any) -> cells.Cell:
-    settings = {"samples": SAMPLES, "replicates": REPLICATES, "seed": 1, "chain": "path"} | changes
-    variant: Any = VARIANTS["ambient"]["cosine"]
-    taken: Any = engine
+def take(
+    engine: Recorder, folder: Path, *, replicates: int = REPLICATES, counts: tuple[int, ...] = (1, 2, SAMPLES)
+) -> cells.Cell:
+    """Take the replicates of a cell, then read them."""
+    variant, taken = VARIANTS["ambient"]["cosine"], cast(Any, engine)
+    name = _key(engine.scene)
+    jobs = [
+        cells.Replicate(engine.scene, "ambient", "cosine", counts, 1, "path", name, number)
+        for number in range(replicates)
+    ]
+    spent = engine.compile_seconds
+    for job in jobs:
+        cells.take(taken, job, folder)
     own = variant.limit(engine.scene, SAMPLES)
-    return cells.cell(taken, variant, own=own, folder=folder, progress=lambda: None, **settings)
+    return cells.read(jobs, own, folder, compile_seconds=engine.compile_seconds - spent)
 
 
 def files(folder: Path) -> list[Path]:
@@ -76,10 +86,10 @@ def test_shapes_and_seconds(scene: Scene, tmp_path: Path):
 
 def test_without_a_sweep_the_last_image_alone(scene: Scene, tmp_path: Path):
     swept = take(Recorder(scene), tmp_path / "swept")
-    last = take(Recorder(scene), tmp_path / "last", swept=False)
+    last = take(Recorder(scene), tmp_path / "last", counts=(SAMPLES,))
     assert (swept.samples, last.samples) == ((1, 2, SAMPLES), (SAMPLES,))
     np.testing.assert_array_equal(last.images, swept.images[:, -1:])
-    assert take(Recorder(scene), tmp_path / "swept", swept=False).images.shape == last.images.shape
+    assert take(Recorder(scene), tmp_path / "swept", counts=(SAMPLES,)).images.shape == last.images.shape
 
 
 def test_a_second_run_computes_nothing(scene: Scene, tmp_path: Path):
@@ -100,15 +110,22 @@ def test_more_replicates_keep_those_there_are(scene: Scene, tmp_path: Path):
     assert engine.asked == [REPLICATES, REPLICATES + 1]
 
 
-def test_replicates_at_hand_are_not_taken_again(scene: Scene, tmp_path: Path):
-    """What no disk keeps is extended in place: the same bits, and the work of all."""
-    before, engine = take(Recorder(scene), tmp_path / "a"), Recorder(scene)
-    more = take(engine, tmp_path / "b", replicates=REPLICATES + 2, before=before)
-    assert engine.asked == [REPLICATES, REPLICATES + 1]
-    whole = take(Recorder(scene), tmp_path / "c", replicates=REPLICATES + 2)
-    np.testing.assert_array_equal(more.images, whole.images)
-    np.testing.assert_array_equal(more.seconds, whole.seconds)
-    assert (more.counts, more.kernels, more.key) == (whole.counts, whole.kernels, whole.key)
+def test_what_is_missing_is_not_read(scene: Scene, tmp_path: Path):
+    take(Recorder(scene), tmp_path)
+    files(tmp_path)[1].unlink()
+    job = cells.Replicate(scene, "ambient", "cosine", (1, 2, SAMPLES), 1, "path", _key(scene), 1)
+    with pytest.raises(ValueError, match="-0001.npz: is missing or damaged"):
+        cells.read([job], VARIANTS["ambient"]["cosine"].limit(scene, SAMPLES), tmp_path)
+
+
+def test_a_job_can_be_sent_and_makes_the_same_file(scene: Scene, tmp_path: Path):
+    job = cells.Replicate(scene, "ambient", "cosine", (SAMPLES,), 1, "path", _key(scene), 0)
+    with Engine(scene) as engine:
+        for folder, each in ((tmp_path / "a", job), (tmp_path / "b", pickle.loads(pickle.dumps(job)))):
+            assert cells.take(engine, each, folder)
+    own = VARIANTS["ambient"]["cosine"].limit(scene, SAMPLES)
+    first, second = (cells.read([job], own, tmp_path / name) for name in "ab")
+    assert first.images.tobytes() == second.images.tobytes()
 
 
 def _truncate(path: Path) -> None:
@@ -251,5 +268,5 @@ def test_equal_names_mean_equal_bytes(change: str):
 
 def test_the_name_follows_the_sources(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     before = _key(scene)
-    monkeypatch.setattr(cells, "sources_digest", lambda *folders: "other sources")
+    monkeypatch.setattr(estimator, "sources_digest", lambda *folders: "other sources")
     assert _key(scene) != before
