@@ -15,7 +15,10 @@ import xarray
 from termwise.reports.results.images import write_exr, write_netcdf
 from termwise.reports.results.schema import SCHEMA
 from termwise.reports.run import plain, versions
-from termwise.reports.statistics import tiles, verdict
+from termwise.reports.statistics import tiles
+from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.replicates import CHANNELS
+from termwise.reports.statistics.rule import decide
 from termwise.scenes.store import write_atomically
 from termwise.scenes.terms import TermImage
 
@@ -40,7 +43,7 @@ def judge(
     Parameters
     ----------
     images, reference, exact, noiseless, names, reference_names
-        As for `reports.statistics.verdict.judge`.
+        As for `reports.statistics.rule.judge`.
     folder : Path
         Gets `results.json`, `results.nc` and `images.exr`; made if missing.
     exposure : float, optional
@@ -56,14 +59,14 @@ def judge(
     Raises
     ------
     ValueError
-        As `reports.statistics.verdict.measure`, or for an exposure that is not positive.
+        As `reports.statistics.accumulation.measure`, or for an exposure that is not positive.
     """
     if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure = {exposure}: allowed is a number in (0, inf)")
-    statistics = verdict.measure(
+    statistics = measure(
         images, reference, exact=exact, noiseless=noiseless, names=names, reference_names=reference_names
     )
-    outcome = verdict.decide(statistics, tests=statistics.tests)
+    outcome = decide(statistics, tests=statistics.tests)
     maps = None if statistics.absent else tiles.tile_maps(statistics)
     with np.errstate(invalid="ignore", over="ignore"):  # the verdict has named what is not finite
         ours, truth = (
@@ -102,7 +105,7 @@ def judge(
                 ("reference_variance", truth.variance),
             )
         },
-        {"channel": list(verdict.CHANNELS)},
+        {"channel": list(CHANNELS)},
         {"exposure": shown, "units": "linear Rec. 709 radiance"},
     ).assign(xarray.Dataset(tiles.variables([maps])).isel(cell=0) if maps else {})
     parts = {"ours": ours.mean, "reference": truth.mean, "error": error}

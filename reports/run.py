@@ -34,7 +34,17 @@ from termwise.reports.jobs import cells
 from termwise.reports.jobs.cells import Cell
 from termwise.reports.results import images
 from termwise.reports.results import schema as stored
-from termwise.reports.statistics import metrics, sequential, tiles, verdict
+from termwise.reports.statistics import (
+    accumulation,
+    jackknife,
+    metrics,
+    replicates,
+    rule,
+    sequential,
+    tiles,
+    verdict,
+)
+from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.convergence import (
     PREFIXES_NEEDED,
     Convergence,
@@ -43,8 +53,9 @@ from termwise.reports.statistics.convergence import (
     mean_square_error,
     relative_error,
 )
+from termwise.reports.statistics.jackknife import Estimate
 from termwise.reports.statistics.sequential import Item, Ledger
-from termwise.reports.statistics.verdict import Estimate, Statistics, Verdict
+from termwise.reports.statistics.verdict import Verdict
 from termwise.reports.study import audits as references
 from termwise.reports.study import closed_forms, exact, kernel_bias
 from termwise.reports.study.exact import Case
@@ -538,7 +549,7 @@ class _Source:
         scene = self.subject.scene
         names = [thing.name for thing in scene.objects]
         try:
-            return verdict.measure(
+            return accumulation.measure(
                 ours, reference, objects=self.objects, object_names=names, scale=self._scale
             )
         except ValueError as error:
@@ -577,7 +588,7 @@ _RowsOf = Callable[[Subject, list[Cell], References, Compare], list[_Row]]
 
 
 def _luminance(images: np.ndarray) -> float:
-    return float(np.dot(np.mean(images, axis=(0, 1, 2), dtype=np.float64), verdict.LUMINANCE))
+    return float(np.dot(np.mean(images, axis=(0, 1, 2), dtype=np.float64), replicates.LUMINANCE))
 
 
 def _identity(subject: Subject, term: str, variant: str, kind: str, against: str) -> dict[str, Any]:
@@ -631,7 +642,7 @@ def _cell_rows(subject: Subject, measured: list[Cell], rendered: References, com
                     kind=kind,
                     kernel=kernel,
                     allowance=variant.allowance if kernel else 0.0,
-                    margin=verdict.margin_of(kind, own_mean, correct_mean),
+                    margin=rule.margin_of(kind, own_mean, correct_mean),
                     judged=last and judged,
                     predicted_bias=0.0 if judged else None,
                     reason=skipped(scene, term) or "the camera sees nothing of it",
@@ -774,7 +785,7 @@ def _exact_group(takes: _Takes, case: Case) -> _Group:
 def _exact_rows(case: Case, cell: Cell) -> list[_Row]:
     """Rows against the variant's own limit and against the right one."""
     ours = cell.images[:, -1]
-    own, right = (float(np.dot(value, verdict.LUMINANCE)) for value in (case.own, case.correct))
+    own, right = (float(np.dot(value, replicates.LUMINANCE)) for value in (case.own, case.correct))
     rows = []
     for against, value in (("own", case.own), ("correct", case.correct)):
         judged = against == "own"
@@ -796,14 +807,14 @@ def _exact_rows(case: Case, cell: Cell) -> list[_Row]:
                 ours,
                 reference,
                 case.scene,
-                statistics=verdict.measure(ours, reference, exact=True),
+                statistics=accumulation.measure(ours, reference, exact=True),
                 samples=cell.samples[-1],
                 seconds=float(cell.seconds[:, -1].sum()),
                 replicate_seconds=cell.seconds[:, -1].tolist() if judged else None,
                 source={"reference_samples": None, "reference_seconds": 0.0},
                 kind=case.variant.kind,
                 kernel=False,
-                margin=verdict.margin_of(case.variant.kind, own, right),
+                margin=rule.margin_of(case.variant.kind, own, right),
                 judged=judged,
                 predicted_bias=0.0 if judged else own / right - 1.0,
             )
@@ -854,7 +865,7 @@ def _total_rows(subject: Subject, measured: list[Cell], rendered: References, co
                 kind=kind,
                 kernel=bool(by_kernel),
                 allowance=allowance if name == "own" else 0.0,
-                margin=verdict.margin_of(kind, means["own"], right),
+                margin=rule.margin_of(kind, means["own"], right),
                 judged=name == "own" and judged,
                 predicted_bias=predicted if judged else None,
                 reason="every term is absent",
@@ -917,10 +928,10 @@ def _split(cell: Cell, own: np.ndarray, physical: np.ndarray) -> dict[str, list[
     With what rounding to float32 has of the bias, where replicates were rendered by kernels.
     """
     ours = cell.images[:, -1]
-    parts = attrs.asdict(verdict.split_error(ours, own, physical), recurse=False)
+    parts = attrs.asdict(jackknife.split_error(ours, own, physical), recurse=False)
     rendered = [image for k in range(len(ours)) if (image := cell.rendered(k)) is not None]
     if rendered:
-        parts["float_error"] = verdict.float_error(ours, np.stack(rendered))
+        parts["float_error"] = jackknife.float_error(ours, np.stack(rendered))
     return {name: [part.value, part.low(0.05), part.high(0.05)] for name, part in parts.items()}
 
 
@@ -955,9 +966,7 @@ def _decided(row: _Row, tests: int, audited: list[dict[str, Any]], looks: int = 
     if row.statistics is None:
         return {**fields, **_NOT_JUDGED}
     judged = row.judged and not failed
-    outcome = verdict.decide(
-        row.statistics, tests=max(tests, 1), looks=looks, judged=judged, **row.decide
-    ).row()
+    outcome = rule.decide(row.statistics, tests=max(tests, 1), looks=looks, judged=judged, **row.decide).row()
     if row.judged and failed:
         sentence = f"{verdict.NO_VERDICT}: its reference failed an audit: {'; '.join(failed)}."
         outcome |= {"verdict": verdict.NO_VERDICT, "reasons": failed, "sentence": sentence}
@@ -965,8 +974,8 @@ def _decided(row: _Row, tests: int, audited: list[dict[str, Any]], looks: int = 
     return {
         **fields,
         **outcome,
-        "channels": [region for region in regions if region["region"] == verdict.IMAGE],
-        "objects": [region for region in regions if region["region"] != verdict.IMAGE],
+        "channels": [region for region in regions if region["region"] == accumulation.IMAGE],
+        "objects": [region for region in regions if region["region"] != accumulation.IMAGE],
         "tiles": [] if (maps := _tile_maps(row)) is None else tiles.summary(maps),
     }
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from termwise import reference
 from termwise.reference import backend, store
-from termwise.reports.statistics import verdict
-from termwise.reports.statistics.verdict import Statistics
+from termwise.reports.statistics import replicates, rule
+from termwise.reports.statistics.accumulation import Statistics
 from termwise.scenes.limits import Limit, correct
 from termwise.scenes.model import Scene
 
@@ -71,7 +71,7 @@ def audits(
     by_second : whether second integrators are rendered too, for the true integral of each term where it has one and
         Mitsuba is vectorised: a quarter of the samples, as many replicates.
     seed, folder : as of the references.
-    compare : (ours, reference, what) -> `verdict.measure` with the objects of the scene.
+    compare : (ours, reference, what) -> `accumulation.measure` with the objects of the scene.
     progress : called with the kind of work, after each replicate.
     """
     found: list[Audit] = []
@@ -84,7 +84,7 @@ def audits(
         done.add(served)
         images = kept.images
         half = len(images) // 2
-        if half >= verdict.REPLICATES_NEEDED:
+        if half >= replicates.REPLICATES_NEEDED:
             halves = compare(images[:half], images[half:], f"reference {limit.term}, halves")
             found.append(Audit(scene.name, served, "halves", halves, kept.spp, 0.0))
         plain = served == reference.shared(scene, correct(limit.term, scene.scope))
@@ -118,7 +118,7 @@ def decide(found: Iterable[Audit]) -> list[dict[str, Any]]:
     tests = sum(each.statistics.tests for each in every)
     rows = []
     for each in every:
-        outcome = verdict.decide(each.statistics, tests=max(tests, 1))
+        outcome = rule.decide(each.statistics, tests=max(tests, 1))
         assert outcome.verdict is not None
         rows.append(
             {

@@ -13,7 +13,7 @@ import pytest
 from termwise.renderer.terms import VARIANTS
 from termwise.reports import run
 from termwise.reports.jobs import cells
-from termwise.reports.statistics import verdict
+from termwise.reports.statistics.replicates import LUMINANCE
 from termwise.reports.study import exact, study
 
 STUDY = study.Study(
@@ -78,5 +78,5 @@ def test_detectable_bias_is_below_the_difference_between_variants():
     for case in CASES:
         if case.group == "furnace" and case.variant.kind == "wrong":
             own, _ = decided(case)
-            apart = abs(case.own @ verdict.LUMINANCE / (case.correct @ verdict.LUMINANCE) - 1)
+            apart = abs(case.own @ LUMINANCE / (case.correct @ LUMINANCE) - 1)
             assert apart > own["detectable_bias"]

@@ -10,7 +10,7 @@ import pytest
 from termwise import reference
 from termwise.reference import backend, store
 from termwise.reports import run
-from termwise.reports.statistics import verdict
+from termwise.reports.statistics.accumulation import measure
 from termwise.reports.study import audits as references
 from termwise.reports.study import study, subjects
 from termwise.scenes.limits import Limit, correct, physical
@@ -38,7 +38,7 @@ def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 640, change: An
             by_second=True,
             seed=3,
             folder=folder,
-            compare=lambda ours, other, what: verdict.measure(ours, other, scale=1.0),
+            compare=lambda ours, other, what: measure(ours, other, scale=1.0),
             progress=lambda what: None,
         )
     )
