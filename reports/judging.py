@@ -15,7 +15,7 @@ import xarray
 from termwise.reports.results.images import write_exr, write_netcdf
 from termwise.reports.results.schema import SCHEMA, plain
 from termwise.reports.run import versions
-from termwise.reports.statistics import tiles, verdict
+from termwise.reports.statistics import accumulation, replicates, rule, tiles
 from termwise.scenes.store import write_atomically
 from termwise.scenes.terms import TermImage
 
@@ -60,10 +60,10 @@ def judge(
     """
     if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure = {exposure}: allowed is a number in (0, inf)")
-    statistics = verdict.measure(
+    statistics = accumulation.measure(
         images, reference, exact=exact, noiseless=noiseless, names=names, reference_names=reference_names
     )
-    outcome = verdict.decide(statistics, tests=statistics.tests)
+    outcome = rule.decide(statistics, tests=statistics.tests)
     maps = None if statistics.absent else tiles.tile_maps(statistics)
     with np.errstate(invalid="ignore", over="ignore"):  # the verdict has named what is not finite
         ours, truth = (
@@ -102,7 +102,7 @@ def judge(
                 ("reference_variance", truth.variance),
             )
         },
-        {"channel": list(verdict.CHANNELS)},
+        {"channel": list(replicates.CHANNELS)},
         {"exposure": shown, "units": "linear Rec. 709 radiance"},
     ).assign(xarray.Dataset(tiles.variables([maps])).isel(cell=0) if maps else {})
     parts = {"ours": ours.mean, "reference": truth.mean, "error": error}

@@ -26,9 +26,9 @@ from termwise.reports.results.rows import (
     mean_luminance,
     total_rows,
 )
-from termwise.reports.statistics import sequential, verdict
+from termwise.reports.statistics import accumulation, sequential
+from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.sequential import Item
-from termwise.reports.statistics.verdict import Statistics
 from termwise.reports.study import audits
 from termwise.reports.study.exact import Case
 from termwise.reports.study.study import Study
@@ -250,7 +250,7 @@ class Source:
         scene = self.subject.scene
         names = [thing.name for thing in scene.objects]
         try:
-            return verdict.measure(
+            return accumulation.measure(
                 ours, reference, objects=self.objects, object_names=names, scale=self._scale
             )
         except ValueError as error:

@@ -17,7 +17,7 @@ from termwise.renderer import Engine, Variant, find
 from termwise.renderer.plan import ECONOMIES, needs_photons, skipped
 from termwise.renderer.terms import Chain
 from termwise.reports.bench.common import known, machine, positive, spread
-from termwise.reports.statistics import verdict
+from termwise.reports.statistics import accumulation, rule
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 
@@ -94,7 +94,7 @@ def measure(
         measured.append(_measure(case, batches, threads))
     tests = sum(statistics.tests for _, statistics in measured)
     for row, statistics in measured:
-        outcome = verdict.decide(statistics, tests=max(tests, 1))
+        outcome = rule.decide(statistics, tests=max(tests, 1))
         result["cases"].append(
             row
             | {"verdict": outcome.verdict, "bias": outcome.bias}
@@ -125,7 +125,7 @@ def cases(scenes: tuple[str, ...], economies: tuple[str, ...], resolution: int) 
                     yield Case(scene, economy, variant, chain)
 
 
-def _measure(case: Case, batches: int, threads: int) -> tuple[dict[str, Any], verdict.Statistics]:
+def _measure(case: Case, batches: int, threads: int) -> tuple[dict[str, Any], accumulation.Statistics]:
     """A row but for its verdict, and what decides that."""
     by_photons = needs_photons(case.scene, case.variant, case.chain) is not None
     samples = _MAPS if by_photons else _SAMPLES
@@ -164,7 +164,7 @@ def _measure(case: Case, batches: int, threads: int) -> tuple[dict[str, Any], ve
         ("cost", of_variance * of_seconds),
     ):
         row[name], row[f"{name}_low"], row[f"{name}_high"] = spread(ratios)
-    return row, verdict.measure(np.array(images[0], np.float32), np.array(images[1], np.float32))
+    return row, accumulation.measure(np.array(images[0], np.float32), np.array(images[1], np.float32))
 
 
 def _render(engine: Engine, case: Case, samples: int, replicate: int, seed: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Is the picture right? Replicates of ours and of Mitsuba's reference, pair by pair, and the verdict as they arrive.
 
-The verdict is that of `reports.statistics.verdict`, on the variants and the chain that the picture has. It is looked at
+The verdict is that of `reports.statistics.rule`, on the variants and the chain that the picture has. It is looked at
 with 4, 8 and 16 replicates a side. An error may be proven at any look, at a third of the level each (Bonferroni); that
 there is none is said at the last look alone, so that looking often cannot make it true.
 """
@@ -20,7 +20,10 @@ from termwise.renderer.tiles import Cancelled, Engine
 from termwise.reports.live.state import CHAIN, State
 from termwise.reports.pages.pictures import diverge, error_scale, relative_error
 from termwise.reports.statistics import verdict
+from termwise.reports.statistics.accumulation import Statistics, measure
 from termwise.reports.statistics.metrics import rmse
+from termwise.reports.statistics.replicates import REPLICATES_NEEDED
+from termwise.reports.statistics.rule import decide
 from termwise.scenes.limits import Limit
 from termwise.scenes.terms import TERMS, Term
 
@@ -163,11 +166,11 @@ class Truth:
         pairs: dict[Term, tuple[np.ndarray, np.ndarray]] = {
             term: (np.array(ours), np.array(theirs)) for term, (ours, theirs) in stacks.items()
         }
-        measured: dict[Term, verdict.Statistics] = {}
-        if done >= verdict.REPLICATES_NEEDED:
+        measured: dict[Term, Statistics] = {}
+        if done >= REPLICATES_NEEDED:
             scale = sum(float(theirs.mean()) for _, theirs in pairs.values()) or 1.0
             measured = {
-                term: verdict.measure(ours, theirs, objects=objects, object_names=names, scale=scale)
+                term: measure(ours, theirs, objects=objects, object_names=names, scale=scale)
                 for term, (ours, theirs) in pairs.items()
             }
         tests = len(LOOKS) * sum(each.tests for each in measured.values())
@@ -195,12 +198,12 @@ class Truth:
             )
         return tuple(rows)
 
-    def _decided(self, term: Term, statistics: verdict.Statistics, tests: int) -> verdict.Verdict:
+    def _decided(self, term: Term, statistics: Statistics, tests: int) -> verdict.Verdict:
         scene, variant = self.state.scene, self.state.variant(term)
         # Photons at the vertices of a specular chain bring their kernel's bias, which is allowed for as in direct.
         in_chain = term == "specular" and needs_photons(scene, variant, CHAIN) is not None
         kernel = variant.kernel_based(scene) or in_chain
-        return verdict.decide(
+        return decide(
             statistics,
             tests=tests,
             kind=variant.kind,

@@ -24,6 +24,7 @@ from termwise.reports.pages import charts, digits, method, pictures, viewer
 from termwise.reports.results import microscope, provenance
 from termwise.reports.results import schema as stored
 from termwise.reports.statistics import tiles, verdict
+from termwise.reports.statistics.replicates import TILE_SIDES
 from termwise.scenes.store import write_atomically
 from termwise.scenes.terms import TERMS, TOTAL
 
@@ -327,7 +328,7 @@ def p_maps(
 ) -> dict[int, dict[str, Any]]:
     """Addresses and sizes of the maps of one cell's tiles by their side, drawn by `picture`; none for merged sizes."""
     drawn = {}
-    for side in verdict.TILE_SIDES:
+    for side in TILE_SIDES:
         maps = {
             each: dataset[f"tile_{each}_{side}"].values
             for each in tiles.MAPS

@@ -18,8 +18,8 @@ from PIL import Image
 from plotly.colors import diverging, hex_to_rgb, sequential, unlabel_rgb
 
 from termwise.reports.statistics.metrics import encode
+from termwise.reports.statistics.replicates import LUMINANCE
 from termwise.reports.statistics.tiles import LEVEL
-from termwise.reports.statistics.verdict import LUMINANCE
 from termwise.scenes.store import write_atomically
 
 QUANTILE = 0.99

@@ -32,8 +32,8 @@ from scipy import stats
 from termwise.reports.pages import pictures
 from termwise.reports.results import microscope
 from termwise.reports.statistics.metrics import encode
+from termwise.reports.statistics.replicates import LUMINANCE, TILE_SIDES
 from termwise.reports.statistics.tiles import LEVEL, MAPS
-from termwise.reports.statistics.verdict import LUMINANCE, TILE_SIDES
 from termwise.scenes.store import write_atomically
 
 FLOOR = 0.01

@@ -10,7 +10,7 @@ are compared by Welch's t. As `||b| - |a|| = min(|b - a|, |b + a|)`, a bias move
 both the difference and the sum exceed the tolerance: the larger p of the two is that of the row (an intersection-union
 test). Runs that share a reference share its noise, which makes the test of bias and error conservative. All tests of
 all rows share one chance of 5 % of a false finding (Holm). A verdict that proves an error, where it was no error
-before, counts as worse: its test is that of its own run (`reports.statistics.verdict`).
+before, counts as worse: its test is that of its own run (`reports.statistics.rule`).
 
 Replicates of one estimate follow each other in milliseconds, so whatever else the machine does then slows them all
 alike, and Welch's t on them knows nothing of it: two runs of the same code, minutes apart, gave -61 ± 6 %. What the

@@ -24,8 +24,8 @@ import xarray
 from termwise.reports.jobs.cells import Cell
 from termwise.reports.results import microscope
 from termwise.reports.results.microscope import SIDE
+from termwise.reports.statistics.replicates import CHANNELS, LUMINANCE
 from termwise.reports.statistics.tiles import TileMap, variables
-from termwise.reports.statistics.verdict import CHANNELS, LUMINANCE
 from termwise.reports.study.subjects import Subject
 from termwise.scenes import limits
 from termwise.scenes.limits import Limit

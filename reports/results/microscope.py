@@ -20,10 +20,12 @@ import xarray
 from scipy import stats
 
 from termwise.reports.statistics import verdict
+from termwise.reports.statistics.replicates import LUMINANCE, TILE_SIDES
+from termwise.reports.statistics.welch import TERM_FLOOR, ULP_FLOOR, welch
 from termwise.scenes.strict import FileError
 from termwise.scenes.terms import TOTAL
 
-SIDE = verdict.TILE_SIDES[0]
+SIDE = TILE_SIDES[0]
 NO_OBJECT = "(none)"
 _RANK = ("NO VERDICT", *(verdict.WORDS[kind][0] for kind in ("right", "wrong")), "UNDERPOWERED")
 
@@ -148,7 +150,7 @@ def branch(
         """Sums of pieces, by name."""
         member = np.stack([mask * weights for mask in groups.values()], axis=1)
         counts = member.sum(axis=0)
-        compared = verdict.welch(
+        compared = welch(
             ours @ member / counts,
             reference @ member / counts,
             least=least,
@@ -339,7 +341,7 @@ def _pixels(
         for name, index in (("image_variance", cell), ("reference_variance", limit))
     ]
     truth = _luminance(reference.astype(np.float64))
-    floor = np.hypot(verdict.TERM_FLOOR * mean, verdict.ULP_FLOOR * np.spacing(np.float32(truth)))
+    floor = np.hypot(TERM_FLOOR * mean, ULP_FLOOR * np.spacing(np.float32(truth)))
     scale = np.maximum(truth, mean)
     bias = (_luminance(ours.astype(np.float64)) - truth) / scale
     se = np.hypot(np.hypot(*error), floor) / scale
@@ -351,7 +353,7 @@ def _pixels(
 
 
 def _luminance(rgb: np.ndarray) -> np.ndarray:
-    return rgb @ np.array(verdict.LUMINANCE)
+    return rgb @ np.array(LUMINANCE)
 
 
 def _z(bias: float, error: float) -> float:

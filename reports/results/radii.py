@@ -13,7 +13,7 @@ from termwise.renderer.tiles import Engine
 from termwise.reports.jobs.cells import Cell
 from termwise.reports.jobs.desk import Measured
 from termwise.reports.statistics.convergence import extrapolate, relative_error
-from termwise.reports.statistics.verdict import Estimate
+from termwise.reports.statistics.jackknife import Estimate
 from termwise.reports.study import kernel_bias
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import Subject

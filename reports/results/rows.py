@@ -13,9 +13,11 @@ import numpy as np
 from termwise.reference import store
 from termwise.renderer.plan import skipped
 from termwise.reports.jobs.cells import Cell
-from termwise.reports.statistics import metrics, tiles, verdict
+from termwise.reports.statistics import accumulation, jackknife, metrics, replicates, rule, tiles, verdict
+from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.convergence import PREFIXES_NEEDED, Convergence, fit, mean_square_error
-from termwise.reports.statistics.verdict import Estimate, Statistics, Verdict
+from termwise.reports.statistics.jackknife import Estimate
+from termwise.reports.statistics.verdict import Verdict
 from termwise.reports.study import audits
 from termwise.reports.study.exact import Case
 from termwise.reports.study.subjects import Subject
@@ -38,7 +40,7 @@ class Measurement:
     ----------
     fields : of the row, all but what the verdict says.
     statistics : what the verdict is made of; None for a prefix of a run, which has none of its own.
-    decide : further arguments of `verdict.decide`.
+    decide : further arguments of `rule.decide`.
     judged : whether a verdict is due.
     scene, limits : that it was measured on and against.
     """
@@ -190,7 +192,7 @@ def cell_rows(
                     kind=kind,
                     kernel=kernel,
                     allowance=variant.allowance if kernel else 0.0,
-                    margin=verdict.margin_of(kind, own_mean, correct_mean),
+                    margin=rule.margin_of(kind, own_mean, correct_mean),
                     judged=last and judged,
                     predicted_bias=0.0 if judged else None,
                     reason=skipped(scene, term) or "the camera sees nothing of it",
@@ -234,8 +236,8 @@ def _split(cell: Cell, own: np.ndarray, physical: np.ndarray) -> dict[str, list[
     With what rounding to float32 has of the bias.
     """
     ours = cell.images[:, -1]
-    parts = attrs.asdict(verdict.split_error(ours, own, physical), recurse=False)
-    parts["float_error"] = verdict.float_error(ours, np.stack([cell.rendered(k) for k in range(len(ours))]))
+    parts = attrs.asdict(jackknife.split_error(ours, own, physical), recurse=False)
+    parts["float_error"] = jackknife.float_error(ours, np.stack([cell.rendered(k) for k in range(len(ours))]))
     return {name: [part.value, part.low(0.05), part.high(0.05)] for name, part in parts.items()}
 
 
@@ -284,7 +286,7 @@ def total_rows(
                 kind=kind,
                 kernel=bool(by_kernel),
                 allowance=allowance if name == "own" else 0.0,
-                margin=verdict.margin_of(kind, means["own"], right),
+                margin=rule.margin_of(kind, means["own"], right),
                 judged=name == "own" and judged,
                 predicted_bias=predicted if judged else None,
                 reason="every term is absent",
@@ -296,7 +298,7 @@ def total_rows(
 def exact_rows(case: Case, cell: Cell) -> list[Measurement]:
     """Rows against the variant's own limit and against the right one."""
     ours = cell.images[:, -1]
-    own, right = (float(np.dot(value, verdict.LUMINANCE)) for value in (case.own, case.correct))
+    own, right = (float(np.dot(value, replicates.LUMINANCE)) for value in (case.own, case.correct))
     rows = []
     for against, value in (("own", case.own), ("correct", case.correct)):
         judged = against == "own"
@@ -318,14 +320,14 @@ def exact_rows(case: Case, cell: Cell) -> list[Measurement]:
                 ours,
                 reference,
                 case.scene,
-                statistics=verdict.measure(ours, reference, exact=True),
+                statistics=accumulation.measure(ours, reference, exact=True),
                 samples=cell.samples[-1],
                 seconds=float(cell.seconds[:, -1].sum()),
                 replicate_seconds=cell.seconds[:, -1].tolist() if judged else None,
                 source={"reference_samples": None, "reference_seconds": 0.0},
                 kind=case.variant.kind,
                 kernel=False,
-                margin=verdict.margin_of(case.variant.kind, own, right),
+                margin=rule.margin_of(case.variant.kind, own, right),
                 judged=judged,
                 predicted_bias=0.0 if judged else own / right - 1.0,
             )
@@ -335,7 +337,7 @@ def exact_rows(case: Case, cell: Cell) -> list[Measurement]:
 
 def mean_luminance(images: np.ndarray) -> float:
     """Of replicates (K, H, W, 3), over all pixels."""
-    return float(np.dot(np.mean(images, axis=(0, 1, 2), dtype=np.float64), verdict.LUMINANCE))
+    return float(np.dot(np.mean(images, axis=(0, 1, 2), dtype=np.float64), replicates.LUMINANCE))
 
 
 def tests_of(row: Measurement) -> int:
@@ -356,7 +358,7 @@ def decided(row: Measurement, tests: int, audited: list[dict[str, Any]], looks: 
 
     Parameters
     ----------
-    tests, looks : of the run, see `verdict.decide`.
+    tests, looks : of the run, see `rule.decide`.
     audited : what became of the references of all scenes; one that failed judges nobody.
     """
     word, failed = audits.findings(audited, row.scene, row.limits)
@@ -364,9 +366,7 @@ def decided(row: Measurement, tests: int, audited: list[dict[str, Any]], looks: 
     if row.statistics is None:
         return {**fields, **_NOT_JUDGED}
     judged = row.judged and not failed
-    outcome = verdict.decide(
-        row.statistics, tests=max(tests, 1), looks=looks, judged=judged, **row.decide
-    ).row()
+    outcome = rule.decide(row.statistics, tests=max(tests, 1), looks=looks, judged=judged, **row.decide).row()
     if row.judged and failed:
         sentence = f"{verdict.NO_VERDICT}: its reference failed an audit: {'; '.join(failed)}."
         outcome |= {"verdict": verdict.NO_VERDICT, "reasons": failed, "sentence": sentence}
@@ -374,8 +374,8 @@ def decided(row: Measurement, tests: int, audited: list[dict[str, Any]], looks: 
     return {
         **fields,
         **outcome,
-        "channels": [region for region in regions if region["region"] == verdict.IMAGE],
-        "objects": [region for region in regions if region["region"] != verdict.IMAGE],
+        "channels": [region for region in regions if region["region"] == accumulation.IMAGE],
+        "objects": [region for region in regions if region["region"] != accumulation.IMAGE],
         "tiles": [] if (maps := tile_maps(row)) is None else tiles.summary(maps),
     }
 

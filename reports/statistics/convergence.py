@@ -14,7 +14,8 @@ import attrs
 import numpy as np
 from scipy.optimize import fminbound
 
-from termwise.reports.statistics.verdict import LUMINANCE, Estimate, gram
+from termwise.reports.statistics.jackknife import Estimate, gram
+from termwise.reports.statistics.replicates import LUMINANCE
 
 SLOPES = 0.1, 3.0
 """Range of a that is searched: a slower fall looks like none, a faster one like a floor."""

@@ -1,7 +1,7 @@
 """Looks: replicates of both sides are added until a row is decided or a budget of seconds is spent.
 
 A row is judged at 1, 2, 4 and 8 times the replicates of its study, each time by the one rule of
-`reports.statistics.verdict` at a quarter of its level: whichever look ends it,
+`reports.statistics.rule` at a quarter of its level: whichever look ends it,
 
     P(false alarm) ≤ Σ_looks α/4 = α,     P(EQUIVALENT | bias = margin) ≤ Σ_looks 5 %/4 = 5 %.
 

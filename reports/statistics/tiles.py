@@ -22,7 +22,8 @@ import attrs
 import numpy as np
 from scipy import stats
 
-from termwise.reports.statistics.verdict import CHANNELS, TILE_SIDES, Statistics
+from termwise.reports.statistics.accumulation import Statistics
+from termwise.reports.statistics.replicates import CHANNELS, TILE_SIDES
 
 LEVEL = 0.05
 """Of one map."""

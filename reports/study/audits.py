@@ -19,8 +19,8 @@ import numpy as np
 
 from termwise import reference
 from termwise.reference import store
-from termwise.reports.statistics import verdict
-from termwise.reports.statistics.verdict import Statistics
+from termwise.reports.statistics import replicates, rule
+from termwise.reports.statistics.accumulation import Statistics
 from termwise.scenes.limits import Limit, correct
 from termwise.scenes.model import Scene
 
@@ -83,7 +83,7 @@ def audits(
     ----------
     scene, rendered : replicates of each limit that a judged row is measured against.
     seconds : by a second integrator, of those of `second_limits` that were rendered: as many replicates.
-    compare : (ours, reference, what) -> `verdict.measure` with the objects of the scene.
+    compare : (ours, reference, what) -> `accumulation.measure` with the objects of the scene.
     """
     found: list[Audit] = []
     done: set[Limit] = set()
@@ -94,7 +94,7 @@ def audits(
         done.add(served)
         images = kept.images
         half = len(images) // 2
-        if half >= verdict.REPLICATES_NEEDED:
+        if half >= replicates.REPLICATES_NEEDED:
             halves = compare(images[:half], images[half:], f"reference {limit.term}, halves")
             found.append(Audit(scene.name, served, "halves", halves, kept.spp, 0.0))
         if (other := seconds.get(limit)) is not None:
@@ -110,7 +110,7 @@ def decide(found: Iterable[Audit]) -> list[dict[str, Any]]:
     tests = sum(each.statistics.tests for each in every)
     rows = []
     for each in every:
-        outcome = verdict.decide(each.statistics, tests=max(tests, 1))
+        outcome = rule.decide(each.statistics, tests=max(tests, 1))
         assert outcome.verdict is not None
         rows.append(
             {

@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from termwise.renderer.arrays import Geometry
 from termwise.renderer.film import GeometryImages
 from termwise.reports.statistics.convergence import relative_error
-from termwise.reports.statistics.verdict import Estimate
+from termwise.reports.statistics.jackknife import Estimate
 from termwise.scenes.model import Scene
 
 CLASSES: tuple[str, ...] = ("interior", "boundary", "leak")

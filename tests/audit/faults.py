@@ -23,7 +23,9 @@ import numpy as np
 
 from termwise.reference import store
 from termwise.renderer import find
-from termwise.reports.statistics.verdict import WORDS, decide, measure
+from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.rule import decide
+from termwise.reports.statistics.verdict import WORDS
 from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
 from tests.audit import worker
 from tests.audit.plants import Plant

@@ -14,7 +14,9 @@ import attrs
 import numpy as np
 
 from termwise.renderer import Engine, find
-from termwise.reports.statistics.verdict import LEVEL, decide, measure
+from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.rule import decide
+from termwise.reports.statistics.verdict import LEVEL
 from termwise.scenes.load import load
 from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
 from tests.verdict.synthetic import picture, replicates

@@ -23,7 +23,8 @@ from termwise.reports import looks, run
 from termwise.reports.jobs import cells
 from termwise.reports.pages import p_maps, pictures
 from termwise.reports.results import images
-from termwise.reports.statistics import metrics, verdict
+from termwise.reports.statistics import metrics
+from termwise.reports.statistics.replicates import TILE_SIDES
 from termwise.reports.study import study, subjects
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
@@ -252,7 +253,7 @@ def test_a_failure_leaves_its_images(
     ):
         raise AssertionError("a bound is exceeded")
     left = {path.name for path in (tmp_path / "monkey-ambient").iterdir()}
-    names = "ours", "reference", "error", *(f"ambient p-map {side}" for side in verdict.TILE_SIDES)
+    names = "ours", "reference", "error", *(f"ambient p-map {side}" for side in TILE_SIDES)
     assert left == {f"{name}.{kind}" for name in names for kind in ("exr", "png")}
     cell = measured.cells["monkey", "ambient"]
     (p,) = images.read_exr(tmp_path / "monkey-ambient" / "ambient p-map 16.exr").values()

@@ -15,7 +15,7 @@ from termwise.reports import looks
 from termwise.reports.jobs import cells
 from termwise.reports.jobs.desk import Desk
 from termwise.reports.results import rows
-from termwise.reports.statistics import verdict
+from termwise.reports.statistics import replicates
 from termwise.reports.study import exact, study
 from termwise.scenes.store import cache_folder
 
@@ -83,5 +83,5 @@ def test_detectable_bias_is_below_the_difference_between_variants():
     for case in CASES:
         if case.group == "furnace" and case.variant.kind == "wrong":
             own, _ = decided(case)
-            apart = abs(case.own @ verdict.LUMINANCE / (case.correct @ verdict.LUMINANCE) - 1)
+            apart = abs(case.own @ replicates.LUMINANCE / (case.correct @ replicates.LUMINANCE) - 1)
             assert apart > own["detectable_bias"]

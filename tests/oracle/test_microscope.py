@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
+from termwise.renderer import Engine
 from termwise.reports import cli, run
 from termwise.reports.results import microscope
 
@@ -59,7 +60,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = tmp_path_factory.mktemp("microscope")
     (files / "scene.toml").write_text(SCENE)
     (files / "study.toml").write_text(STUDY.replace("SCENE", str(files / "scene.toml")))
-    prefixes = run.Engine.prefixes
+    prefixes = Engine.prefixes
 
     def brighter(self: Any, variant: Any, **settings: Any) -> Iterator[Any]:
         objects = self.geometry().object
@@ -70,7 +71,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "cache_folder", lambda: files / "cache")
-        patch.setattr(run.Engine, "prefixes", brighter)
+        patch.setattr(Engine, "prefixes", brighter)
         patch.setattr(
             "sys.argv", ["termwise", "compare", "--study", str(files / "study.toml"), "--out", str(files)]
         )

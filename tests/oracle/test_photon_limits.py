@@ -18,7 +18,7 @@ from termwise.renderer.scratch import new_scratch
 from termwise.renderer.surface import Surface
 from termwise.renderer.vector import Vec3
 from termwise.reports.statistics.convergence import extrapolate
-from termwise.reports.statistics.verdict import Estimate
+from termwise.reports.statistics.jackknife import Estimate
 from termwise.scenes import limits
 from termwise.scenes.analytic import plate, unit_sphere
 from termwise.scenes.load import load

@@ -10,6 +10,8 @@ from termwise.reference import density
 from termwise.reference.density import POWERS, Photons, Points, by_kernel, by_nearest, mass, triangle_mass
 from termwise.reference.translate import Canonical
 from termwise.reports.statistics import verdict
+from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.rule import decide
 from termwise.scenes.analytic import closed_box, plate
 from termwise.scenes.limits import Kernel, Limit
 from termwise.scenes.load import load
@@ -421,8 +423,8 @@ def compare(
             *_, (_, image, _) = engine.prefixes(chosen, samples=maps, seed=1, replicate=k)
             ours.append(image)
     sides = np.array(ours), rendered(scene, kernel, maps, REPLICATES)
-    statistics = verdict.measure(*sides)
-    outcome = verdict.decide(statistics, tests=statistics.tests, kind=kind)
+    statistics = measure(*sides)
+    outcome = decide(statistics, tests=statistics.tests, kind=kind)
     first, second = (images.mean(axis=(1, 2), dtype=float) for images in sides)
     error = np.sqrt((first.var(axis=0, ddof=1) + second.var(axis=0, ddof=1)) / REPLICATES)
     return outcome.verdict, (first.mean(axis=0) - second.mean(axis=0)) / error

@@ -10,7 +10,7 @@ import pytest
 from termwise import reference
 from termwise.reference import backend, store
 from termwise.reports import run
-from termwise.reports.statistics import verdict
+from termwise.reports.statistics import accumulation
 from termwise.reports.study import audits, study, subjects
 from termwise.scenes.limits import Limit, correct, physical
 from termwise.scenes.load import load
@@ -38,7 +38,7 @@ def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 640, change: An
             scene,
             {limit: kept},
             {plain: second},
-            compare=lambda ours, other, what: verdict.measure(ours, other, scale=1.0),
+            compare=lambda ours, other, what: accumulation.measure(ours, other, scale=1.0),
         )
     )
     for row in rows:

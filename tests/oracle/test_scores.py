@@ -14,7 +14,7 @@ from scipy import stats
 from termwise import reference
 from termwise.renderer import VARIANTS, Engine, find
 from termwise.renderer.terms import Variant
-from termwise.reports.statistics import verdict
+from termwise.reports.statistics.accumulation import measure
 from termwise.reports.study import closed_forms
 from termwise.scenes.analytic import furnace
 from termwise.scenes.load import load
@@ -38,7 +38,7 @@ def replicates(engine: Engine, variant: Variant, seed: int) -> np.ndarray:
 
 def score(ours: np.ndarray, theirs: np.ndarray, *, exact: bool = False) -> tuple[float, float]:
     """z and its degrees of freedom, of the luminance of the image's mean, as a verdict has them."""
-    found = verdict.measure(ours, theirs, exact=exact).luminance
+    found = measure(ours, theirs, exact=exact).luminance
     return float(found.bias / found.standard_error), float(found.dof)
 
 

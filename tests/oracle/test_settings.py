@@ -16,7 +16,7 @@ from termwise.renderer.geometry.bvh import STACK_SIZE
 from termwise.renderer.geometry.intersect import NOTHING, make_ray
 from termwise.renderer.terms import Chain, find
 from termwise.renderer.vector import Vec3
-from termwise.reports.statistics.verdict import judge
+from termwise.reports.statistics.rule import judge
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import Subject, changed, own_limit
 from termwise.scenes.analytic import plate

@@ -6,7 +6,7 @@ import pytest
 
 from termwise import reference, renderer
 from termwise.renderer.terms import find
-from termwise.reports.statistics.verdict import judge
+from termwise.reports.statistics.rule import judge
 from termwise.scenes.analytic import plate
 from termwise.scenes.limits import Limit
 from termwise.scenes.load import load

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from termwise.reports.statistics.verdict import TOLERATED_BIAS, decide, measure
+from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.rule import decide
+from termwise.reports.statistics.verdict import TOLERATED_BIAS
 
 RUN = 600
 """Tests of a run of some 60 rows."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from termwise.reports.statistics.convergence import extrapolate, fit, mean_square_error
-from termwise.reports.statistics.verdict import Estimate, gram
+from termwise.reports.statistics.jackknife import Estimate, gram
 
 SAMPLES = 2 ** np.arange(9)
 RUNS = 20

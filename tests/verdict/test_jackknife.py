@@ -7,7 +7,7 @@ bootstrap of this statistic missed it in 240 of 240 trials.
 import numpy as np
 import pytest
 
-from termwise.reports.statistics.verdict import Gram, float_error, gram, split_error
+from termwise.reports.statistics.jackknife import Gram, float_error, gram, split_error
 
 
 def matrix(*groups: np.ndarray) -> Gram:

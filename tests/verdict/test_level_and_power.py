@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy import ndimage, stats
 
-from termwise.reports.statistics.verdict import decide, judge, measure
+from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.rule import decide, judge
 from tests.verdict.synthetic import RUN, share_found
 
 

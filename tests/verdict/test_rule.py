@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from termwise.reports.statistics import verdict
-from termwise.reports.statistics.verdict import LEVEL, decide, judge, margin_of, measure
+from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.rule import decide, judge, margin_of
+from termwise.reports.statistics.verdict import LEVEL
 from tests.verdict import synthetic
 
 WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
@@ -518,7 +519,7 @@ def test_bands_and_memory_maps_change_nothing(tmp_path, rng, replicates, picture
     objects = rng.integers(-1, 3, (75, 45))
     whole = decide(measure(ours, reference, objects=objects), tests=600)
     np.save(tmp_path / "ours.npy", ours)
-    monkeypatch.setattr(verdict, "BAND_BYTES", 1)
+    monkeypatch.setattr("termwise.reports.statistics.replicates.BAND_BYTES", 1)
     banded = measure(np.load(tmp_path / "ours.npy", mmap_mode="r"), reference, objects=objects)
     found, expected = decide(banded, tests=600).row(), whole.row()
     numbers = ["bias", "bias_low", "standard_error", "rms_bias", "rms_bias_high", "detectable_bias"]

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from termwise.reports.statistics.accumulation import Statistics, measure
+from termwise.reports.statistics.rule import decide
 from termwise.reports.statistics.sequential import LOOKS, Item, Ledger, go_on
-from termwise.reports.statistics.verdict import MARGIN, Statistics, Verdict, decide, measure
+from termwise.reports.statistics.verdict import MARGIN, Verdict
 
 RUNS = 1000
 FIRST = 16

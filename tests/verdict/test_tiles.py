@@ -12,8 +12,8 @@ import pytest
 from scipy import stats
 
 from termwise.reports.statistics import tiles
+from termwise.reports.statistics.accumulation import measure
 from termwise.reports.statistics.tiles import summary, tile_maps, variables
-from termwise.reports.statistics.verdict import measure
 
 WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 

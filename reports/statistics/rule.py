@@ -1,0 +1,407 @@
+"""The rule: which errors are proven, what is left open, and the verdict that follows.
+
+There are two phases because the level of each test is 5 % over the number of tests of the whole run (Bonferroni):
+`measure` every row, add up their `tests`, then `decide` each. A row makes three kinds of test, and an error is proven
+by
+
+    2a  a mean           that lies outside ±(f + a) by Welch's interval, of a region in a channel
+    2b  the shape        whose mean square over blocks of 2 or 8 px is above its limit, by its lower bound
+    2c  a place          whose mean over a tile of 16 px lies outside ±0.5 %, at the level over the number of tiles
+
+It is EQUIVALENT by rule 3 if the intervals of the image's channels lie inside the margin and the upper bound of the
+shape error below 3 %.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from termwise.reports.statistics import student
+from termwise.reports.statistics.accumulation import Statistics, measure
+from termwise.reports.statistics.jackknife import Estimate
+from termwise.reports.statistics.replicates import CHANNELS
+from termwise.reports.statistics.sentence import confidence, percent, sentence, tile_words
+from termwise.reports.statistics.verdict import (
+    LEVEL,
+    MARGIN,
+    OUTSIDE,
+    PLACE_LIMIT,
+    PLACE_SIDE,
+    POWER,
+    SHAPE_LIMITS,
+    SHAPE_MARGIN,
+    TOLERATED_BIAS,
+    WORDS,
+    Kind,
+    RegionBias,
+    Verdict,
+)
+from termwise.reports.statistics.welch import Comparison
+
+
+def decide(
+    statistics: Statistics,
+    *,
+    tests: int,
+    looks: int = 1,
+    kind: Kind = "right",
+    allowance: float = 0.0,
+    margin: float = MARGIN,
+    kernel: bool = False,
+    judged: bool = True,
+    predicted_bias: float | None = None,
+    samples: int | None = None,
+    seconds: float | None = None,
+    reason: str = "",
+) -> Verdict:
+    """Decide a row: phase two, once the number of tests of the whole run is known.
+
+    In this order: ABSENT, BIASED (a proven error, however small the margin makes it look), EQUIVALENT
+    (the interval inside the margin and the shape error below 3 %), UNDERPOWERED.
+
+    Parameters
+    ----------
+    statistics : Statistics
+    tests : int
+        Tests of all judged rows of the run; each test is made at 5 % over it.
+    looks : int
+        How often the row may be decided, each time with more replicates (see `reports.statistics.sequential`): each
+        look spends an equal share of the level, for BIASED and for EQUIVALENT.
+    kind : "right" or "wrong"
+        A wrong variant is (NOT) AS PREDICTED by its own limit.
+    allowance : float
+        Relative bias that the row is known to have; added to what is tolerated and to the margin.
+    margin : float
+        Relative; see `margin_of`.
+    kernel : bool
+        A kernel-based row against anything but its twin: only its means are judged; the rest is a warning.
+    judged : bool
+        False for rows that measure a known difference (prefixes, against `correct` or `physical`): the
+        verdict, and all at the family's level, is None.
+    predicted_bias : float, optional
+        Relative; named by the sentence of a row that is not judged.
+    samples, seconds : optional
+        What this row took, to be scaled to what it would take.
+    reason : str
+        Why a term is absent, say the skip that the plan made.
+
+    Raises
+    ------
+    ValueError
+        For a value out of range.
+    """
+    _check(statistics, tests, looks, kind, kernel, judged)
+    _check_numbers(allowance=allowance, margin=margin, samples=samples, seconds=seconds)
+    level, outside, within = LEVEL / max(tests, 1) / looks, OUTSIDE / looks, margin + allowance
+    limit = _limit(statistics, allowance)
+    proven, unproven, printed = _errors(statistics, level, limit, kernel)
+    questions = (*(each.text for each in unproven), *_open_questions(statistics, within, outside))
+    biased, equivalent = WORDS[kind]
+    if not judged:
+        word, reasons = None, ()
+    elif statistics.absent:
+        word, reasons = "ABSENT", (reason,) if reason else ()
+    elif proven:
+        word, reasons = biased, tuple(each.text for each in proven)
+    elif not questions:
+        word, reasons = equivalent, ()
+    else:
+        word, reasons = "UNDERPOWERED", questions
+
+    due = judged and not statistics.absent
+    tile, needed = _worst_tile(statistics), _samples_ratio(statistics, within, outside)
+    samples_to_margin, seconds_to_margin = _scaled(needed, samples, seconds)
+    found = Verdict(
+        verdict=word,
+        sentence="",
+        reasons=reasons,
+        **_intervals(statistics, level if due else None, limit, outside),
+        place=next((each.place for each in proven), tile_words(tile)),
+        tile=tile,
+        samples_to_margin=samples_to_margin,
+        seconds_to_margin=seconds_to_margin,
+        margin=margin,
+        allowance=allowance,
+        tests=tests if due else None,
+        looks=looks,
+        predicted_bias=predicted_bias,
+        warnings=statistics.warnings + tuple(f"{each.text} (printed, not judged)" for each in printed),
+    )
+    said = sentence(found, statistics, kernel=kernel, tolerated=limit, needed=needed)
+    return attrs.evolve(found, sentence=said)
+
+
+def _check(statistics: Statistics, tests: int, looks: int, kind: str, kernel: bool, judged: bool) -> None:
+    own = statistics.mean_tests if kernel else statistics.tests
+    if looks < 1:
+        raise ValueError(f"looks is {looks}; it must be at least 1")
+    if kind not in WORDS:
+        raise ValueError(f"kind is {kind!r}; allowed: {', '.join(WORDS)}")
+    if judged and tests < own:
+        raise ValueError(f"tests is {tests}; it counts all rows of the run, and this row alone makes {own}")
+
+
+def _check_numbers(*, allowance: float, margin: float, samples: int | None, seconds: float | None) -> None:
+    for name, value, allowed in (
+        ("allowance", allowance, allowance >= 0),
+        ("margin", margin, margin > 0),
+        ("samples", samples, samples is None or samples > 0),
+        ("seconds", seconds, seconds is None or seconds >= 0),
+    ):
+        if not allowed or (value is not None and not np.isfinite(value)):
+            raise ValueError(f"{name} is {value}; it must be finite and positive")
+
+
+def judge(
+    images: np.ndarray | Sequence[np.ndarray],
+    reference: np.ndarray | Sequence[np.ndarray],
+    *,
+    exact: bool = False,
+    noiseless: bool = False,
+    names: Sequence[str] = (),
+    reference_names: Sequence[str] = (),
+    objects: np.ndarray | None = None,
+    object_names: Sequence[str] = (),
+) -> Verdict:
+    """Verdict on any renderer's replicate images: a run of one row.
+
+    Parameters
+    ----------
+    images, reference : (K, H, W, 3) and (R, H, W, 3) floating, or sequences of (H, W, 3)
+        Independent replicates (own seed each), linear radiance in one unit. With `exact`, `reference` may
+        be a single (H, W, 3) image.
+    exact, noiseless, names, reference_names, objects, object_names
+        As for `measure`; nothing is known of the seeds here, so replicates that are all the same image are
+        refused unless `noiseless`.
+
+    Raises
+    ------
+    ValueError
+        As `measure`.
+    """
+    if exact and isinstance(reference, np.ndarray) and reference.ndim == 3:
+        reference = reference[None]
+    statistics = measure(
+        images,
+        reference,
+        exact=exact,
+        noiseless=noiseless,
+        names=names,
+        reference_names=reference_names,
+        objects=objects,
+        object_names=object_names,
+    )
+    return decide(statistics, tests=statistics.tests)
+
+
+def margin_of(kind: Kind, own_mean: float = 0.0, correct_mean: float = 0.0) -> float:
+    """Relative margin m of a row: 1 %; for a wrong variant one that cannot hide what makes it wrong.
+
+    The smaller of 1 % and 5 % of `|own - correct|` relative to `own`, never below 0.5 %.
+    """
+    if kind == "right" or own_mean == 0:
+        return MARGIN
+    return max(0.005, min(MARGIN, 0.05 * abs(own_mean - correct_mean) / abs(own_mean)))
+
+
+@attrs.frozen
+class _Finding:
+    """An error that is proven at the family's level, in words, and where it stands."""
+
+    text: str
+    place: str
+
+
+def _limit(statistics: Statistics, allowance: float) -> float:
+    """Tolerated mean bias, f + a; nothing is tolerated where the reference is exactly 0."""
+    return 0.0 if statistics.reference_is_zero else TOLERATED_BIAS + allowance
+
+
+def _errors(
+    statistics: Statistics, level: float, limit: float, kernel: bool
+) -> tuple[list[_Finding], list[_Finding], list[_Finding]]:
+    """Errors that are proven, that rare events may explain, and that are printed alone, as a kernel's shape is."""
+    elsewhere = [*_place_errors(statistics, level), *_shape_errors(statistics, level)]
+    proven = [*_invalid_values(statistics), *_mean_errors(statistics, level, limit)]
+    unproven = _mean_errors(statistics, level, limit, missing=True)
+    if kernel:
+        return proven, unproven, elsewhere
+    return proven + elsewhere, unproven + _place_errors(statistics, level, missing=True), []
+
+
+def _invalid_values(statistics: Statistics) -> list[_Finding]:
+    if not statistics.invalid:
+        return []
+    first = statistics.invalid[0]
+    counts = f"{statistics.non_finite} values not finite, {statistics.negative} negative"
+    text = f"{counts}, the first: {first} in replicate {first.replicate}"
+    return [_Finding(text, f"x {first.x}, y {first.y}")]
+
+
+def _outside(
+    comparison: Comparison, level: float, limit: float, missing: bool = False
+) -> list[tuple[int, str]]:
+    """Flat index and interval of each place that lies wholly outside ±limit, the surest first.
+
+    `missing` chooses those that rare events may explain, which no replicate met: no proof.
+    """
+    low, high = comparison.interval(level)
+    excess = (np.abs(comparison.bias) - limit) / comparison.standard_error
+    explained = np.abs(comparison.bias) <= comparison.missing(level)
+    found = np.flatnonzero(((low > limit) | (high < -limit)) & (explained == missing))
+
+    def text(i: int) -> str:
+        bias = comparison.bias.flat[i]
+        interval = f"{percent(bias)} [{percent(low.flat[i])}, {percent(high.flat[i])}]"
+        if not missing:
+            return interval
+        events = abs(bias) / comparison.unseen.flat[i]
+        return f"{interval}, no proof: {events:.2g} rare events, as bright as others, may be missing"
+
+    return [(int(i), text(i)) for i in found[np.argsort(-excess.flat[found])]]
+
+
+def _mean_errors(statistics: Statistics, level: float, limit: float, missing: bool = False) -> list[_Finding]:
+    """Rule 2a."""
+    findings = []
+    for index, interval in _outside(statistics.regions, level, limit, missing):
+        region, channel = divmod(index, len(CHANNELS))
+        place = f"{statistics.region_names[region]}, {CHANNELS[channel]}"
+        findings.append(_Finding(f"mean of {place}: {interval}", place))
+    return findings
+
+
+def _shape_errors(statistics: Statistics, level: float) -> list[_Finding]:
+    """Rule 2b."""
+    findings = []
+    for side, limit in SHAPE_LIMITS.items():
+        theta = statistics.mean_square[side]
+        if (low := theta.low(level)) > limit**2:
+            found, least = np.sqrt([theta.value, low])
+            place = f"spread, most of all {tile_words(_worst_tile(statistics))}"
+            text = f"shape over {side}-px blocks: {found:.2%} rms, at least {least:.2%} (limit {limit:.1%})"
+            findings.append(_Finding(text, place))
+    return findings
+
+
+def _place_errors(statistics: Statistics, level: float, missing: bool = False) -> list[_Finding]:
+    """Rule 2c: one finding, the surest tile and how many there are."""
+    tiles = statistics.tiles[PLACE_SIDE]
+    limit = 0.0 if statistics.reference_is_zero else PLACE_LIMIT
+    found = _outside(tiles, level / tiles.bias.size, limit, missing)
+    if not found:
+        return []
+    index, interval = found[0]
+    place = tile_words(_tile(statistics, index))
+    return [_Finding(f"{place}: {interval}, the surest of {len(found)} of {tiles.bias.size} tiles", place)]
+
+
+def _shape_bound(theta: Estimate, outside: float) -> float:
+    """U of rule 3."""
+    return float(np.sqrt(max(0.0, theta.high(outside))))
+
+
+def _open_questions(statistics: Statistics, margin: float, outside: float) -> tuple[str, ...]:
+    """What keeps a row from being EQUIVALENT by rule 3."""
+    low, high = (end[0] for end in statistics.regions.interval(2 * outside))
+    questions = [
+        f"image, {channel}: [{percent(low[c])}, {percent(high[c])}] ({confidence(outside)}), "
+        f"not inside ±{margin:.2%}"
+        for c, channel in enumerate(CHANNELS)
+        if not (-margin < low[c] and high[c] < margin)
+    ]
+    if (bound := _shape_bound(statistics.mean_square[8], outside)) >= SHAPE_MARGIN:
+        questions.append(
+            f"shape error of up to {bound:.2%} rms over 8-px tiles is not below {SHAPE_MARGIN:.0%}"
+        )
+    return tuple(questions)
+
+
+def _samples_ratio(statistics: Statistics, margin: float, outside: float) -> float | None:
+    """Factor on the samples of both sides at which an unbiased row is EQUIVALENT with a power of 80 %.
+
+    Standard errors of means fall as 1/sqrt(samples); that of a mean square around 0 falls as 1/samples.
+    """
+    low, high = (end[0] for end in statistics.regions.interval(2 * outside))
+    theta = statistics.mean_square[8]
+    if np.any((low > margin) | (high < -margin)) or theta.low(outside) > SHAPE_MARGIN**2:
+        return None
+    # An interval can leave the margin at either end, U only at one: hence half the misses for each end.
+    error, dof = statistics.regions.standard_error[0], statistics.regions.dof[0]
+    mean = np.max((student.isf(outside, dof) + student.isf((1 - POWER) / 2, dof)) * error) / margin
+    quantiles = student.isf(np.array([outside, 1 - POWER]), theta.dof).sum()
+    return float(max(mean**2, quantiles * theta.standard_error / SHAPE_MARGIN**2))
+
+
+def _scaled(
+    needed: float | None, samples: int | None, seconds: float | None
+) -> tuple[int | None, float | None]:
+    """So many times the samples and the seconds that a row took."""
+    if needed is None:
+        return None, None
+    return (
+        None if samples is None else max(1, int(np.ceil(samples * needed))),
+        None if seconds is None else seconds * needed,
+    )
+
+
+def _intervals(statistics: Statistics, level: float | None, limit: float, outside: float) -> dict[str, Any]:
+    """The numbers of a `Verdict`, whatever the rule makes of them; those at the family's level if there is one."""
+    luminance, theta = statistics.luminance, statistics.mean_square[8]
+    low, high = (float(end) for end in luminance.interval(2 * outside))
+    family, detectable = (None, None), None
+    if level is not None:
+        family = tuple(float(end) for end in luminance.interval(level))
+        detectable = float(statistics.regions.detectable(level, limit)[0].max())
+    return {
+        "bias": float(luminance.bias),
+        "bias_low": low,
+        "bias_high": high,
+        "standard_error": float(luminance.standard_error),
+        "family_low": family[0],
+        "family_high": family[1],
+        "regions": _regions(statistics, level, limit, outside),
+        "rms_bias": float(np.sign(theta.value) * np.sqrt(abs(theta.value))),
+        "rms_bias_high": _shape_bound(theta, outside),
+        "detectable_bias": detectable,
+    }
+
+
+def _regions(
+    statistics: Statistics, level: float | None, limit: float, outside: float
+) -> tuple[RegionBias, ...]:
+    low, high = statistics.regions.interval(2 * outside)
+    at_level = (
+        None
+        if level is None
+        else (*statistics.regions.interval(level), statistics.regions.detectable(level, limit))
+    )
+    return tuple(
+        RegionBias(
+            region=region,
+            channel=channel,
+            bias=float(statistics.regions.bias[r, c]),
+            low=float(low[r, c]),
+            high=float(high[r, c]),
+            family_low=None if at_level is None else float(at_level[0][r, c]),
+            family_high=None if at_level is None else float(at_level[1][r, c]),
+            standard_error=float(statistics.regions.standard_error[r, c]),
+            detectable_bias=None if at_level is None else float(at_level[2][r, c]),
+        )
+        for r, region in enumerate(statistics.region_names)
+        for c, channel in enumerate(CHANNELS)
+    )
+
+
+def _worst_tile(statistics: Statistics) -> tuple[int, int, int, int]:
+    """The 16-px tile whose bias is the most significant."""
+    tiles = statistics.tiles[PLACE_SIDE]
+    return _tile(statistics, int(np.argmax(np.abs(tiles.bias) / tiles.standard_error)))
+
+
+def _tile(statistics: Statistics, index: int) -> tuple[int, int, int, int]:
+    """x, y, width and height of a 16-px tile; those at the right and lower border may be smaller."""
+    y, x = (PLACE_SIDE * i for i in divmod(index, statistics.tiles[PLACE_SIDE].bias.shape[1]))
+    return x, y, min(PLACE_SIDE, statistics.width - x), min(PLACE_SIDE, statistics.height - y)
