@@ -54,7 +54,7 @@ from termwise.scenes import limits
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
-from termwise.scenes.terms import TERMS, TOTAL, Term, total
+from termwise.scenes.terms import TABLE, TERMS, TOTAL, Term, total
 
 # SSIM and relative MSE are means over so many replicates: more would cost seconds and change no digit that is shown.
 _SHOWN_REPLICATES = 4
@@ -324,7 +324,7 @@ def _reference_samples(study: Study, limit: Limit) -> int:
     if limit.transport == "physical":
         return study.physical_spp
     # Rings cannot be drawn where the lobe is: their reference is as noisy as the estimator.
-    return study.reference_spp * (_RINGS if limit.term == "specular" and limit.rings else 1)
+    return study.reference_spp * (_RINGS if TABLE[limit.term].meets and limit.rings else 1)
 
 
 class _Takes:

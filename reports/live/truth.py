@@ -22,7 +22,7 @@ from termwise.reports.pages.pictures import diverge, error_scale, relative_error
 from termwise.reports.statistics import verdict
 from termwise.reports.statistics.metrics import rmse
 from termwise.scenes.limits import Limit
-from termwise.scenes.terms import TERMS, Term
+from termwise.scenes.terms import TABLE, TERMS, Term
 
 COUNT = 16
 LOOKS = (4, 8, COUNT)
@@ -197,8 +197,8 @@ class Truth:
 
     def _decided(self, term: Term, statistics: verdict.Statistics, tests: int) -> verdict.Verdict:
         scene, variant = self.state.scene, self.state.variant(term)
-        # Photons at the vertices of a specular chain bring their kernel's bias, which is allowed for as in direct.
-        in_chain = term == "specular" and needs_photons(scene, variant, CHAIN) is not None
+        # Photons at the vertices of a chain bring their kernel's bias, which is allowed for as in direct.
+        in_chain = bool(TABLE[term].meets) and needs_photons(scene, variant, CHAIN) is not None
         kernel = variant.kernel_based(scene) or in_chain
         return verdict.decide(
             statistics,
