@@ -15,12 +15,17 @@ from typing import Any
 import attrs
 import numpy as np
 
+from termwise.scenes import reads
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
-from termwise.scenes.terms import Term, TermImage
+from termwise.scenes.terms import PHOTONS, TABLE, Term, TermImage
 
 PASSES = 4096  # passes that one replicate may use without sharing random numbers with the next
+UNLOADED = (*PHOTONS, "scope", "rings", "shadows", "intersection")
+"""Fields of a scene that Mitsuba never sees: a limit says them in their place, or there is no such choice."""
+# Those that full transport is split into, see `physical.PARTS`: of any other its share is the term itself.
 _SPLIT: tuple[Term, ...] = ("ambient", "direct", "specular")
+_SECOND: tuple[Term, ...] = ("ambient", "direct", "specular")
 
 
 def render(
@@ -90,7 +95,7 @@ def has_second(scene: Scene, limit: Limit) -> bool:
     """Whether a limit has a second integrator, see `reference.second`: all that is plain light transport."""
     plain = Limit(limit.term, scope=limit.scope, factor=limit.factor, lobe=limit.lobe, ambient=limit.ambient)
     by_mitsuba = scene.ignore == "face" and scene.normals == "viewer"
-    return limit == plain and limit.term != "background" and by_mitsuba
+    return limit == plain and limit.term in _SECOND and by_mitsuba
 
 
 def scaled(image: np.ndarray, limit: Limit) -> np.ndarray:
@@ -115,16 +120,17 @@ def parts(limit: Limit) -> tuple[Term, ...]:
 def shared(scene: Scene, limit: Limit) -> Limit:
     """The limit whose render serves this one: all that does not change the render is put at its default."""
     term = parts(limit)[0]
-    if term == "background":
-        return Limit(term)
-    if limit.transport == "physical":
+    if limit.transport == "physical" and term in _SPLIT:
         return Limit(term, transport="physical")
-    if term == "ambient":
-        return Limit(term, occluded=limit.occluded, rings=limit.rings, shadows=limit.shadows)
-    scope = limit.scope or scene.scope
-    if term == "direct":
-        return Limit(term, scope=scope, kernel=limit.kernel, shadows=limit.shadows)
-    return attrs.evolve(limit, scope=scope, factor=1.0)
+    others = {name for row in TABLE.values() for name in row.limit} - {*TABLE[term].limit}
+    kept = {
+        field.name: getattr(limit, field.name)
+        for field in attrs.fields(Limit)
+        if field.name not in others | {"term", "factor", "transport"}
+    }
+    if TABLE[term].scoped:
+        kept["scope"] = limit.scope or scene.scope
+    return Limit(term, **kept)
 
 
 def rng_seed(limit: Limit, seed: int, replicate: int, *, by_second: bool = False) -> int:
@@ -139,9 +145,7 @@ def loaded(scene: Scene) -> Any:
 
     Only one is kept, because every material that exists is compiled into every kernel.
     """
-    content = scene.digest(
-        without=("name", "exposure", "photons", "scope", "rings", "shadows", "intersection")
-    )
+    content = reads.digest(scene, without=(*reads.UNREAD, *UNLOADED))
     if content not in _loaded:
         from termwise.reference.backend import import_mitsuba
 

@@ -18,7 +18,12 @@ import mitsuba as mi
 from .terms import direct
 from .wavefront import Estimator, Samples, idle
 
-PARTS = (("diffuse", "physical-sky"), ("diffuse", "physical-lights"), ("specular", "physical"))
+# Of each term, the roles of the lobe at the camera vertex and of what lights it.
+PARTS = {
+    "ambient": ("diffuse", "physical-sky"),
+    "direct": ("diffuse", "physical-lights"),
+    "specular": ("specular", "physical"),
+}
 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
@@ -26,7 +31,7 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
     depth = direct.sufficient_depth(loaded, "physical")
     parts = [
         (loaded.scenes[lobe], loaded.scenes[light], direct.reflected(loaded.scenes[light], depth))
-        for lobe, light in PARTS
+        for lobe, light in PARTS.values()
     ]
 
     def estimate(samples: Samples) -> tuple[Any, ...]:

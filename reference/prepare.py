@@ -1,5 +1,6 @@
 """From a description (see `translate`) to estimators: the step that a stand-alone export shares."""
 
+import importlib
 import json
 from pathlib import Path
 from typing import Any
@@ -8,15 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import bsdf, film, physical, second, sky, twin
-from .terms import ambient, background, direct, specular
 from .wavefront import Estimator, pixel_means
-
-_ESTIMATORS = {
-    "ambient": ambient.estimator,
-    "direct": direct.estimator,
-    "specular": specular.estimator,
-    "background": background.estimator,
-}
 
 
 class Loaded:
@@ -51,9 +44,9 @@ class Loaded:
 
     def estimator(self, limit: dict[str, Any]) -> Estimator:
         """Return the estimator of a limit, given as its fields; the constant factor is left out."""
-        if limit["transport"] == "physical" and limit["term"] != "background":
+        if limit["transport"] == "physical" and limit["term"] in physical.PARTS:
             return physical.estimator(self, limit)
-        return _ESTIMATORS[limit["term"]](self, limit)
+        return importlib.import_module(f".terms.{limit['term']}", __package__).estimator(self, limit)
 
     def render(self, limit: dict[str, Any], *, spp: int, seed: int, by_second: bool = False) -> np.ndarray:
         """Mean images of a limit's parts, (P, H, W, 3) float64; see `wavefront.pixel_means`, with a kernel `twin`.

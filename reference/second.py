@@ -21,13 +21,13 @@ from .wavefront import Estimator, idle
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
     """Samples -> (term,); unbiased but for the depth of `direct`, which is that of the first integrator."""
     if limit["term"] == "specular":
-        parts = [(limit["ambient"], _ambient(loaded)), (1.0, _direct(loaded, limit))]
+        parts = [(limit["ambient"], _ambient(loaded, limit)), (1.0, _direct(loaded, limit))]
         return specular.gathered(specular.segments(loaded, limit, _mixture(loaded, limit)), parts)
-    radiance = _ambient(loaded) if limit["term"] == "ambient" else _direct(loaded, limit)
+    radiance = {"ambient": _ambient, "direct": _direct}[limit["term"]](loaded, limit)
     return lambda samples: (radiance(samples.ray, samples.sampler, True),)
 
 
-def _ambient(loaded: Any) -> Any:
+def _ambient(loaded: Any, _limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses."""
     scene = loaded.scenes["ambient"]
     reach = dr.opaque(mi.Float, loaded.description["ambient"]["range"])

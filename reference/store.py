@@ -20,18 +20,14 @@ import numpy as np
 
 from termwise import reference
 from termwise.reference import backend
+from termwise.scenes import reads, terms
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 from termwise.scenes.store import ROOT, sources_digest, write_atomically
 from termwise.scenes.terms import Term
 
-_ALWAYS_IRRELEVANT = ("name", "exposure", "photons", "scope", "rings", "shadows", "intersection")
-_IRRELEVANT: dict[Term, tuple[str, ...]] = {
-    "ambient": ("lights", "sky", "max_bounces", "draw_lights", "irradiance"),
-    "direct": ("ambient", "sky", "max_bounces", "draw_lights"),
-    "specular": ("draw_lights",),
-    "background": ("ambient", "lights", "max_bounces", "irradiance", "ignore", "normals"),
-}
+# What full light transport leaves out of a scene.
+_NOT_PHYSICAL = ("ambient.color", "ambient.range", "max_bounces", "draw_lights")
 
 
 class Replicates(NamedTuple):
@@ -185,14 +181,12 @@ def kept(
 def key(scene: Scene, limit: Limit, *, spp: int, seed: int, by_second: bool = False) -> str:
     """sha256 of all that decides a replicate's bits but its number."""
     if limit.transport == "physical":
-        irrelevant = ("ambient", "max_bounces", "draw_lights")
+        content = reads.digest(scene, without=(*reads.UNREAD, *reference.UNLOADED, *_NOT_PHYSICAL))
     else:
-        irrelevant = _IRRELEVANT[limit.term]
-        if limit.shadows == "paper":  # then lights decide on the ambient term as well
-            irrelevant = tuple(field for field in irrelevant if field != "lights")
+        ruled = attrs.evolve(scene, shadows=limit.shadows)
+        content = terms.content(ruled, limit.term, without=reference.UNLOADED)
     versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit")]
     sources = sources_digest(ROOT / "reference", ROOT / "scenes")
-    content = scene.digest(without=_ALWAYS_IRRELEVANT + irrelevant)
     settings = repr((content, attrs.astuple(limit), spp, seed, by_second, _variant(), versions, sources))
     return hashlib.sha256(settings.encode()).hexdigest()
 

@@ -95,7 +95,8 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
     Raises
     ------
     ValueError
-        The scope is not "all", rays or normals are not Mitsuba's, or a mesh has interpolated normals.
+        The term has no photons, the scope is not "all", rays or normals are not Mitsuba's, or a mesh has interpolated
+        normals.
     """
     kernel, description = limit["kernel"], loaded.description
     _check(description, limit)
@@ -133,6 +134,8 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
 
 
 def _check(description: dict[str, Any], limit: dict[str, Any]) -> None:
+    if limit["term"] not in ("direct", "specular"):
+        raise ValueError(f"term = {limit['term']!r} with a photon kernel: allowed is 'direct' or 'specular'")
     wanted = {"ignore": "face", "normals": "viewer", "scope": "all"}
     for name, value in wanted.items():
         found = limit[name] if name in limit else description[name]

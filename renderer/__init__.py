@@ -34,7 +34,7 @@ def render(
     Parameters
     ----------
     scene : the scene.
-    term : "ambient", "direct", "specular" or "background".
+    term : one of `scenes.terms.TERMS`: "ambient", "direct", "specular" or "background".
     variant : the estimator; the term's default without a name.
     samples : samples per pixel and replicate; powers of two keep the points well spread.
     replicates : independent repetitions; 2 or more give a variance.

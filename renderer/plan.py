@@ -19,9 +19,10 @@ from termwise.renderer.film import ALONE, sights_of
 from termwise.renderer.openness import open_sides
 from termwise.renderer.photon_map import KEPT_BYTES
 from termwise.renderer.scratch import SEEN_BYTES
-from termwise.renderer.terms.variant import Chain, Stored, Variant
-from termwise.scenes.model import Material, Scene
-from termwise.scenes.terms import TERMS, Term
+from termwise.renderer.terms import VARIANTS
+from termwise.renderer.terms.variant import CHAINS, Chain, Stored, Variant
+from termwise.scenes.model import Scene
+from termwise.scenes.terms import TABLE, TERMS, Term, first
 
 Kind = Literal["runs", "skip", "economy", "reuse"]
 
@@ -73,37 +74,9 @@ class Step:
         return self.kind == "runs"
 
 
-def _first(*cases: tuple[bool, str]) -> str | None:
-    """The reason of the first case that holds."""
-    return next((reason for holds, reason in cases if holds), None)
-
-
 def skipped(scene: Scene, term: Term) -> str | None:
     """Why a term is zero everywhere, or None where it has to be rendered."""
-    black = not any(_has(scene, thing.surface, term) for thing in scene.objects)
-    if term == "ambient":
-        return _first(
-            (not any(scene.ambient.color), "the ambient light is black"),
-            (black, "no surface has color (1 - gloss) > 0"),
-        )
-    if term == "direct":
-        return _first(
-            (not scene.toggles.lighting, "lighting is off"),
-            (not scene.has_lights, "the scene has no light"),
-            (black, "no surface has color (1 - gloss) > 0"),
-        )
-    if term == "specular":
-        return _first(
-            (not scene.toggles.reflections, "reflections are off"),
-            (black, "no surface has gloss > 0"),
-            (scene.max_bounces == 0, "max_bounces is 0"),
-        )
-    return _first(
-        (
-            scene.sky.is_black and not (scene.draw_lights and scene.has_lights),
-            "the sky is black and lights are not drawn",
-        )
-    )
+    return TABLE[term].absent(scene)
 
 
 def check(scene: Scene, variant: Variant, *, chain: Chain = "next-event") -> None:
@@ -153,20 +126,9 @@ def may_see(scene: Scene, term: Term = "background") -> np.ndarray:
     # The paper's intersection has absolute tolerances: it may find what is not there.
     seen = np.full((height, width), scene.intersection != "watertight")
     for thing, (rows, columns) in zip(scene.objects, _windows(scene), strict=True):
-        if _has(scene, thing.surface, term):
+        if TABLE[term].has(scene, thing.surface):
             seen[rows, columns] = True
     return seen
-
-
-def _has(scene: Scene, surface: Material, term: Term) -> bool:
-    """Whether a surface may be other than black in a term."""
-    if term == "background":
-        return True
-    if term == "specular":
-        return scene.specular_weight(surface) > 0.0
-    # In the paper's shadow ambient light is of the whole colour.
-    whole = term == "ambient" and scene.shadows == "paper"
-    return any(surface.color if whole else scene.diffuse_weight(surface))
 
 
 @functools.lru_cache(maxsize=4)
@@ -208,17 +170,32 @@ def _windows(scene: Scene) -> list[tuple[slice, slice]]:
 
 def needs_every_pixel(scene: Scene, term: Term) -> bool:
     """Whether a term has to be sampled where no object can be seen."""
-    return term == "background" and scene.sky.texture is not None and not scene.sky.is_black
+    return TABLE[term].beyond(scene) is None
 
 
 def _names(names: list[str]) -> str:
     return ", ".join(names) or "none"
 
 
-def _black(scene: Scene, term: Term) -> list[str]:
+def _estimators(variant: Variant, chain: Chain) -> tuple[Variant, ...]:
+    """The variant, and those of the other terms at the vertices of its chain."""
+    met = CHAINS[chain] if TABLE[variant.term].meets else {}
+    return (variant, *(VARIANTS[term][name] for term, name in met.items()))
+
+
+def _samples_lights(variant: Variant, chain: Chain) -> bool:
+    return any(each.samples_lights for each in _estimators(variant, chain))
+
+
+def _black(scene: Scene, variant: Variant, chain: Chain) -> list[str]:
     # What a chain meets has both terms.
-    asked: Term = "direct" if term == "specular" else term
-    return [thing.name for thing in scene.objects if not _has(scene, thing.surface, asked)]
+    asked = [each.term for each in _estimators(variant, chain) if each.term in ("ambient", "direct")]
+    return [
+        thing.name
+        for term in asked[-1:]
+        for thing in scene.objects
+        if not TABLE[term].has(scene, thing.surface)
+    ]
 
 
 def _open(scene: Scene) -> list[str]:
@@ -235,8 +212,8 @@ def _window(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     count = np.count_nonzero(~may_see(scene, variant.term))
     if not count or needs_every_pixel(scene, variant.term):
         return None
-    seen = "the constant sky" if variant.term == "background" else "nothing that has the term"
-    return f"{count} of {scene.resolution[0] * scene.resolution[1]} pixels see {seen} for certain"
+    pixels = scene.resolution[0] * scene.resolution[1]
+    return f"{count} of {pixels} pixels see {TABLE[variant.term].beyond_is} for certain"
 
 
 def _pixel(scene: Scene, variant: Variant, chain: Chain) -> str | None:
@@ -247,9 +224,9 @@ def _pixel(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 
 def _texture(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    if variant.term not in ("background", "specular"):
+    if not TABLE[variant.term].sky:
         return None
-    return _first(
+    return first(
         (scene.sky.texture is None, "the sky is a constant"),
         (scene.sky.is_black, "every texel of the sky is black"),
     )
@@ -257,34 +234,30 @@ def _texture(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 def _occlusion(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     # At the vertices of a specular chain as well.
-    if variant.term not in ("ambient", "specular"):
+    ambient = [each for each in _estimators(variant, chain) if each.term == "ambient"]
+    if not ambient:
         return None
-    return _first(
+    return first(
         (not scene.occlusion_range, "ambient occlusion is off: L_a0 everywhere"),
-        (variant.name == "constant", "the variant is L_a0 itself"),
+        (not any(each.occludes for each in ambient), "the variant is L_a0 itself"),
         (not any(scene.ambient.color), "the ambient light is black"),
     )
 
 
 def _openness(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    cosine = variant.name == "cosine" or (variant.term == "specular" and chain != "paper")
-    if not cosine or _occlusion(scene, variant, chain) or not _open(scene):
+    known = any(each.open_is_one for each in _estimators(variant, chain))
+    if not known or _occlusion(scene, variant, chain) or not _open(scene):
         return None
     return f"nothing lies within the range of {_names(_open(scene))}: AO = 1"
 
 
 def _diffuse(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    black = _black(scene, variant.term)
-    if variant.term == "background" or not black:
-        return None
-    return f"color (1 - gloss) = 0: {_names(black)}"
+    black = _black(scene, variant, chain)
+    return f"color (1 - gloss) = 0: {_names(black)}" if black else None
 
 
 def _horizon(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    samples_lights = variant.name in ("next-event", "path") or (
-        variant.term == "specular" and chain != "paper"
-    )
-    if not samples_lights or skipped(scene, "direct"):
+    if not _samples_lights(variant, chain) or skipped(scene, "direct"):
         return None
     return "the light is below the horizon, or shows its back"
 
@@ -296,7 +269,7 @@ def _maps(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 
 def _throughput(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    return "where a chain's weight is 0" if variant.term == "specular" else None
+    return "where a chain's weight is 0" if TABLE[variant.term].meets else None
 
 
 SKIPS: dict[str, Skip] = {
@@ -343,17 +316,15 @@ def _aimed(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 
 def _roulette(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    if variant.term != "specular" or skipped(scene, "specular"):
+    if not TABLE[variant.term].meets or skipped(scene, variant.term):
         return None
     return f"chains of a throughput t below {FAINT:g} go on with probability t / {FAINT:g}"
 
 
 def _lights(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     count = len(emitters_of(scene).strength)
-    samples_lights = variant.name in ("next-event", "path") or (
-        variant.term == "specular" and chain != "paper"
-    )
-    if not FEW_EMITTERS < count <= MANY_EMITTERS or not samples_lights or skipped(scene, variant.term):
+    few_or_too_many = not FEW_EMITTERS < count <= MANY_EMITTERS
+    if few_or_too_many or not _samples_lights(variant, chain) or skipped(scene, variant.term):
         return None
     return f"one of {count} emitters is chosen by what it may send to the point"
 
@@ -362,7 +333,7 @@ def _splitting(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     split, lights = variant.split(scene), light_samples(scene)
     if split > 1:
         return f"after {ALONE} samples, {split} leave what one of them sees"
-    if lights > 1 and variant.name == "next-event" and skipped(scene, "direct") is None:
+    if lights > 1 and variant.several_lights and skipped(scene, "direct") is None:
         return f"{lights} light samples stand beside one estimate by photons"
     return None
 
@@ -407,18 +378,32 @@ def plan(
     ]
     if not together:
         return tuple(steps)
-    traced = [step.term for step in steps if step.work == "photon maps" and step.runs]
-    if traced == ["direct", "specular"] and _same_maps(scene, variants, chain):
-        passes = min(counts["direct"], counts["specular"])
-        emitted = passes * photons_of_a_pass(scene, variants["specular"], chain, without)
-        saved = f"those of direct, as far as {KEPT_BYTES >> 20} MB hold them"
-        steps = [
-            Step("specular", "photon maps", "reuse", saved, {"photons": emitted}, at_most=True)
-            if step.term == "specular" and step.work == "photon maps"
-            else step
-            for step in steps
-        ]
+    steps = _with_shared_maps(scene, variants, chain, counts, steps, frozenset(without))
     return tuple(_with_shared_rays(scene, variants, counts, steps, frozenset(without)))
+
+
+def _with_shared_maps(
+    scene: Scene,
+    variants: dict[Term, Variant],
+    chain: Chain,
+    counts: dict[Term, int],
+    steps: list[Step],
+    without: frozenset[str],
+) -> list[Step]:
+    """The steps, photon maps of a chain taken from direct where both mean the same photons."""
+    if not any((step.term, step.work, step.runs) == ("direct", "photon maps", True) for step in steps):
+        return steps
+
+    def shared(step: Step) -> Step:
+        of_chain = step.work == "photon maps" and step.runs and bool(TABLE[step.term].meets)
+        if not (of_chain and _same_maps(scene, variants["direct"], variants[step.term], chain)):
+            return step
+        passes = min(counts["direct"], counts[step.term])
+        emitted = passes * photons_of_a_pass(scene, variants[step.term], chain, without)
+        saved = f"those of direct, as far as {KEPT_BYTES >> 20} MB hold them"
+        return Step(step.term, "photon maps", "reuse", saved, {"photons": emitted}, at_most=True)
+
+    return [shared(step) for step in steps]
 
 
 def _with_shared_rays(
@@ -448,10 +433,9 @@ def _with_shared_rays(
     return found
 
 
-def _same_maps(scene: Scene, variants: dict[Term, Variant], chain: Chain) -> bool:
-    """Whether direct and the chain of specular mean the same photons."""
-    direct, specular = variants["direct"], variants["specular"]
-    kinds = {(each.photons(scene, chain), each.by_nearest(scene, chain)) for each in (direct, specular)}
+def _same_maps(scene: Scene, direct: Variant, other: Variant, chain: Chain) -> bool:
+    """Whether direct and the chain of another term mean the same photons."""
+    kinds = {(each.photons(scene, chain), each.by_nearest(scene, chain)) for each in (direct, other)}
     return len(kinds) == 1 and scene.photons.scattering == "diffuse"
 
 
@@ -523,9 +507,8 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
             spared = samples * (scene.photons.count - emitted)
             steps.append(Step(term, ECONOMIES["aimed"].work, "economy", reason, {"photons": spared}))
     elif term == "direct":
-        why = "first hits need none" if variant.name != "path" else "paths follow the light's bounces"
-        steps.append(Step(term, "photon maps", "skip", why, {"photons": samples * emitted}))
-    if term in ("background", "specular") and not scene.sky.is_black:
+        steps.append(Step(term, "photon maps", "skip", variant.no_maps, {"photons": samples * emitted}))
+    if TABLE[term].sky and not scene.sky.is_black:
         if "texture" in applied:
             skip("texture", "sky texture")
         else:

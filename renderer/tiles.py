@@ -33,7 +33,7 @@ from termwise.renderer.scratch import COUNTERS, NOTHING_SEEN, SEEN_BYTES, Scratc
 from termwise.renderer.terms.estimator import Cancelled, Compiled, Prefix, Progress, Request
 from termwise.renderer.terms.variant import Chain, Stored, Variant
 from termwise.scenes.model import Scene
-from termwise.scenes.terms import TERMS
+from termwise.scenes.terms import TABLE, TERMS, Term
 
 TILE = 32
 # Calls of a kernel, each for several tiles: one costs 25 to 60 µs, mostly Python's, which threads do not share. Of one
@@ -257,7 +257,7 @@ class Engine:
             )
         photons = photon_map.empty()
         # Each pass has its own radius, hence its own map.
-        per_map = _CHAINS_A_MAP if chain == "paper" and variant.term == "specular" else 1
+        per_map = _CHAINS_A_MAP if chain == "paper" and TABLE[variant.term].meets else 1
         tiles = self.tiles[variant.term]
         # Adaptive counts are so few in places that each sample needs a camera ray.
         split = 1 if self.adaptive or "splitting" in self.without else variant.split(self.scene)
@@ -282,8 +282,7 @@ class Engine:
                 inputs = variant.inputs(self.scene, chain, photons)
                 work = _work(tiles, share, first, last, split)
                 self._run(driver, inputs, key, work, out, self._sights(key, request.samples), cancel)
-                if variant.term == "background":
-                    self._add_sky(out, last - first)
+                self._add_beyond(variant.term, out, last - first)
                 first = last
                 request.done(last)
             done = count
@@ -318,17 +317,20 @@ class Engine:
             )
         return shares(tiles, *images)
 
-    def _add_sky(self, out: np.ndarray, samples: int) -> None:
-        """What `samples` of a constant sky add beyond the window, rounded as a kernel's sum is."""
+    def _add_beyond(self, term: Term, out: np.ndarray, samples: int) -> None:
+        """What `samples` of a term add beyond its window, the constant sky, rounded as a kernel's sum is."""
+        radiance = TABLE[term].beyond(self.scene)
+        if radiance is None or not any(radiance):
+            return
         beyond = np.zeros(out.shape[:2], np.bool_)
-        for tiles, is_beyond in ((self._everywhere, True), (self.tiles["background"], False)):
+        for tiles, is_beyond in ((self._everywhere, True), (self.tiles[term], False)):
             for tile in tiles:
                 beyond[tile.y0 : tile.y1, tile.x0 : tile.x1] = is_beyond
-        if self.scene.sky.texture is not None or not beyond.any():
+        if not beyond.any():
             return
-        sky, summed = np.array(self.scene.sky.color), out[beyond][0]
+        constant, summed = np.array(radiance), out[beyond][0]
         for _ in range(samples):
-            summed = summed + sky
+            summed = summed + constant
         out[beyond] = summed
 
     def geometry(self) -> GeometryImages:

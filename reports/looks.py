@@ -35,7 +35,7 @@ from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import CHAIN, Subject, own_limit
 from termwise.scenes import limits
 from termwise.scenes.limits import Limit
-from termwise.scenes.terms import TERMS, Term
+from termwise.scenes.terms import TABLE, TERMS, Term
 
 _RINGS = 8  # times the samples a pixel of other references
 
@@ -96,7 +96,7 @@ def reference_samples(study: Study, limit: Limit) -> int:
     if limit.transport == "physical":
         return study.physical_spp
     # Rings cannot be drawn where the lobe is: their reference is as noisy as the estimator.
-    return study.reference_spp * (_RINGS if limit.term == "specular" and limit.rings else 1)
+    return study.reference_spp * (_RINGS if TABLE[limit.term].meets and limit.rings else 1)
 
 
 def _variants(subject: Subject) -> list[Variant]:

@@ -28,10 +28,10 @@ from termwise.scenes.model import (
     Photons,
     PointLight,
     Scene,
+    Scope,
     Sky,
     Vector,
 )
-from termwise.scenes.terms import Scope
 
 _ONE_RAY = 1e-3
 _GREY = Material()

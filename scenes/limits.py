@@ -18,7 +18,8 @@ from typing import Literal
 
 import attrs
 
-from termwise.scenes.terms import Scope, Term
+from termwise.scenes.model import Scope
+from termwise.scenes.terms import TABLE, Term
 
 KernelShape = Literal["simpson", "epanechnikov", "uniform", "nearest"]
 
@@ -106,7 +107,7 @@ class Limit:
 
 def correct(term: Term, scope: Scope) -> Limit:
     """The term's true integral, against which every variant of it can be measured."""
-    return Limit(term, scope=scope if term in ("direct", "specular") else None)
+    return Limit(term, scope=scope if TABLE[term].scoped else None)
 
 
 def physical(term: Term) -> Limit:

@@ -28,6 +28,7 @@ from termwise.scenes.model import (
     Photons,
     PointLight,
     Scene,
+    Scope,
     Sky,
     Toggles,
     Vector,
@@ -37,7 +38,6 @@ from termwise.scenes.model import (
     positive,
 )
 from termwise.scenes.strict import FileError
-from termwise.scenes.terms import Scope
 
 LIBRARY = Path(__file__).parent / "library"
 

@@ -14,10 +14,9 @@ from typing import Any, Literal
 import attrs
 import numpy as np
 
-from termwise.scenes.terms import Scope
-
 Vector = tuple[float, float, float]
 Color = tuple[float, float, float]
+Scope = Literal["first-hit", "all"]
 
 BLACK: Color = (0.0, 0.0, 0.0)
 
@@ -411,22 +410,22 @@ class Scene:
         state = hashlib.sha256()
         for field in attrs.fields(Scene):
             if field.name not in without:
-                _absorb(state, field.name)
-                _absorb(state, getattr(self, field.name))
+                absorb(state, field.name)
+                absorb(state, getattr(self, field.name))
         return state.hexdigest()
 
 
-def _absorb(state: Any, value: Any) -> None:
+def absorb(state: Any, value: Any) -> None:
     """Feed a value of the model into a hash, with its type and shape, so that no two values run together."""
     if attrs.has(type(value)):
         state.update(type(value).__name__.encode())
         for field in attrs.fields(type(value)):
-            _absorb(state, getattr(value, field.name))
+            absorb(state, getattr(value, field.name))
     elif isinstance(value, np.ndarray):
         state.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif isinstance(value, tuple):
         state.update(f"({len(value)}".encode())
         for item in value:
-            _absorb(state, item)
+            absorb(state, item)
     else:
         state.update(f"{type(value).__name__}:{value!r};".encode())

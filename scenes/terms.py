@@ -1,18 +1,225 @@
-"""The terms of `L_o = L_ambient + L_direct + L_specular (+ L_background)` and the estimate of one.
+"""The terms of `L_o = L_ambient + L_direct + L_specular (+ L_background)`, a row each, and the estimate of one.
 
-`total = ((ambient + direct) + specular) + background`, added in this order, bit for bit.
+`total = ((ambient + direct) + specular) + background`, added in the order of the rows, bit for bit. A new term is a
+row here and a file a side, `renderer/terms/<name>.py` and `reference/terms/<name>.py`.
 """
 
-from typing import Literal, get_args
+import functools
+import operator
+from collections.abc import Callable, Collection
 
 import attrs
 import numpy as np
 
-Term = Literal["ambient", "direct", "specular", "background"]
-Scope = Literal["first-hit", "all"]
+from termwise.scenes import reads
+from termwise.scenes.model import BLACK, Color, Material, Scene
+from termwise.scenes.reads import Read, read
 
-TERMS: tuple[Term, ...] = get_args(Term)
+Term = str
+"""The name of a row."""
 TOTAL = "total"
+WHITE: Color = (1.0, 1.0, 1.0)
+
+
+@attrs.frozen
+class TermRow:
+    """What a term is, whoever estimates it.
+
+    Attributes
+    ----------
+    name : of the term, and of its module on both sides.
+    weight : scene, material -> a factor on all that a surface shows of the term, or a bound of it: where it is 0 the
+        surface is black in the term.
+    absent : scene -> why the term is 0 everywhere, or None.
+    reads : the fields of a scene that its image depends on, see `scenes.reads`; beside them it has those of the terms
+        that it meets.
+    scoped : whether it means an irradiance, of the first hit or of all bounces.
+    meets : terms of the light at the vertices after the camera's; none where it has no chain of such vertices.
+    sky : whether a ray that misses everything brings it the sky's light.
+    beyond : scene -> what a pixel has that sees no object; None where that differs from pixel to pixel.
+    beyond_is : that in words.
+    limit : fields of a `Limit` that its integral depends on, constant factors apart.
+    """
+
+    name: Term
+    weight: Callable[[Scene, Material], Color]
+    absent: Callable[[Scene], str | None]
+    reads: tuple[Read, ...]
+    scoped: bool = False
+    meets: tuple[Term, ...] = ()
+    sky: bool = False
+    beyond: Callable[[Scene], Color | None] = lambda scene: BLACK
+    beyond_is: str = "nothing that has the term"
+    limit: tuple[str, ...] = ()
+
+    def has(self, scene: Scene, surface: Material) -> bool:
+        """Whether a surface may be other than black in the term."""
+        return any(self.weight(scene, surface))
+
+
+def first(*cases: tuple[bool, str]) -> str | None:
+    """The reason of the first case that holds."""
+    return next((reason for holds, reason in cases if holds), None)
+
+
+def _without(scene: Scene, weight: Callable[[Scene, Material], Color]) -> bool:
+    """Whether all surfaces are black in a term."""
+    return not any(any(weight(scene, thing.surface)) for thing in scene.objects)
+
+
+def _diffuse(scene: Scene, material: Material) -> Color:
+    return scene.diffuse_weight(material)
+
+
+def _ambient(scene: Scene, material: Material) -> Color:
+    # In the paper's shadow ambient light is of the whole colour.
+    return material.color if scene.shadows == "paper" else scene.diffuse_weight(material)
+
+
+def _specular(scene: Scene, material: Material) -> Color:
+    gloss = scene.specular_weight(material)
+    return gloss, gloss, gloss
+
+
+def _by_lights(scene: Scene) -> bool:
+    return scene.shadows == "paper"
+
+
+_NO_DIFFUSE = "no surface has color (1 - gloss) > 0"
+_RULES = read("shadows", "ignore", "normals")
+_EMITTERS = read("objects.emission", of=lambda scene: tuple(thing.emits for thing in scene.objects))
+_DIFFUSE = read(
+    "objects.material.color",
+    "objects.material.gloss",
+    "toggles.reflections",
+    of=lambda scene: tuple(scene.diffuse_weight(thing.surface) for thing in scene.objects),
+)
+_MATERIAL = (
+    "objects.material.color",
+    "objects.material.gloss",
+    "objects.material.roughness",
+    "objects.material.f0",
+    "toggles.reflections",
+)
+_LIGHTS = ("lights.position", "lights.intensity", "objects.emission", "toggles.lighting")
+_SKY = read("sky.color", "sky.texture", "sky.center", "sky.radius", "sky.projection")
+
+PHOTONS = (
+    "photons.count",
+    "photons.radius",
+    "photons.nearest",
+    "photons.kernel",
+    "photons.survival",
+    "photons.scattering",
+)
+"""Fields that only an estimate with photon maps depends on."""
+
+TABLE: dict[Term, TermRow] = {
+    row.name: row
+    for row in (
+        TermRow(
+            "ambient",
+            weight=_ambient,
+            absent=lambda scene: first(
+                (not any(scene.ambient.color), "the ambient light is black"),
+                (_without(scene, _ambient), _NO_DIFFUSE),
+            ),
+            reads=(
+                read("ambient.color", "ambient.range", "toggles.ambient_occlusion", "rings"),
+                _RULES,
+                _EMITTERS,
+                _DIFFUSE,
+                read(*_LIGHTS, "objects.material.color", when=_by_lights),
+            ),
+            limit=("occluded", "rings", "shadows"),
+        ),
+        TermRow(
+            "direct",
+            weight=_diffuse,
+            absent=lambda scene: first(
+                (not scene.toggles.lighting, "lighting is off"),
+                (not scene.has_lights, "the scene has no light"),
+                (_without(scene, _diffuse), _NO_DIFFUSE),
+            ),
+            reads=(
+                read(*_LIGHTS, *PHOTONS, "scope", "irradiance"),
+                _RULES,
+                _DIFFUSE,
+                read(*_MATERIAL, when=lambda scene: scene.photons.scattering == "full"),
+            ),
+            scoped=True,
+            limit=("scope", "kernel", "shadows"),
+        ),
+        TermRow(
+            "specular",
+            weight=_specular,
+            absent=lambda scene: first(
+                (not scene.toggles.reflections, "reflections are off"),
+                (_without(scene, _specular), "no surface has gloss > 0"),
+                (scene.max_bounces == 0, "max_bounces is 0"),
+            ),
+            reads=(read(*_MATERIAL, "max_bounces"), _SKY),
+            scoped=True,
+            meets=("ambient", "direct"),
+            sky=True,
+            limit=(
+                "occluded",
+                "scope",
+                "lobe",
+                "diffuse",
+                "cosine",
+                "ambient",
+                "rings",
+                "kernel",
+                "shadows",
+            ),
+        ),
+        TermRow(
+            "background",
+            weight=lambda scene, material: WHITE,  # all surfaces hide the sky
+            absent=lambda scene: first(
+                (
+                    scene.sky.is_black and not (scene.draw_lights and scene.has_lights),
+                    "the sky is black and lights are not drawn",
+                )
+            ),
+            reads=(
+                read("draw_lights"),
+                _SKY,
+                _EMITTERS,
+                read(*_LIGHTS, when=lambda scene: scene.draw_lights),
+            ),
+            sky=True,
+            beyond=lambda scene: (
+                BLACK if scene.sky.is_black else scene.sky.color if scene.sky.texture is None else None
+            ),
+            beyond_is="the constant sky",
+        ),
+    )
+}
+TERMS: tuple[Term, ...] = tuple(TABLE)
+
+
+def reads_of(term: Term) -> tuple[Read, ...]:
+    """All that a term reads, in part through the terms that it meets."""
+    met = (each for name in TABLE[term].meets if name != term for each in reads_of(name))
+    return (*TABLE[term].reads, *met)
+
+
+def named() -> frozenset[str]:
+    """Fields that some term reads, or none at all; all others are in every key."""
+    fields = (field for row in TABLE.values() for each in row.reads for field in each.fields)
+    return frozenset((*fields, *reads.UNREAD))
+
+
+def content(scene: Scene, term: Term, *, without: Collection[str] = ()) -> str:
+    """sha256 of what a term's image depends on in a scene: where it is equal, so is every byte of the image.
+
+    `without` names fields that an estimate of it does not read.
+    """
+    here = [each for each in reads_of(term) if each.when(scene)]
+    whole = {field for each in here if each.of is None for field in each.fields}
+    return reads.digest(scene, without=(named() - whole) | set(without), seen=here)
 
 
 @attrs.frozen(eq=False)
@@ -53,8 +260,8 @@ class TermImage:
         return cls(mean, variance, samples, count, seconds)
 
 
-def total(
-    ambient: np.ndarray, direct: np.ndarray, specular: np.ndarray, background: np.ndarray
-) -> np.ndarray:
-    """Sum the four term images in the one order that makes the sum reproducible to the bit."""
-    return ((ambient + direct) + specular) + background
+def total(*images: np.ndarray) -> np.ndarray:
+    """Sum one image of each term in the order of `TERMS`, the one order that makes the sum reproducible to the bit."""
+    if len(images) != len(TERMS):
+        raise ValueError(f"total of {len(images)} images: allowed is one of each of {', '.join(TERMS)}")
+    return functools.reduce(operator.add, images)

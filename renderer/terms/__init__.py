@@ -1,10 +1,10 @@
 """The summands of L_o: one file each, its variants in one table; the first of each table is the default."""
 
+import importlib
 import re
 from collections.abc import Callable
 from typing import Literal
 
-from termwise.renderer.terms import ambient, background, direct, specular
 from termwise.renderer.terms.estimator import Called, Compiled, Function
 from termwise.renderer.terms.variant import Chain, Variant
 from termwise.scenes.limits import Limit
@@ -12,8 +12,8 @@ from termwise.scenes.model import Scene
 from termwise.scenes.terms import TERMS, Term
 
 VARIANTS: dict[Term, dict[str, Variant]] = {
-    module.VARIANTS[0].term: {variant.name: variant for variant in module.VARIANTS}
-    for module in (ambient, direct, specular, background)
+    term: {variant.name: variant for variant in importlib.import_module(f"{__name__}.{term}").VARIANTS}
+    for term in TERMS
 }
 DEFAULTS: dict[Term, str] = {term: next(iter(VARIANTS[term])) for term in TERMS}
 
@@ -45,7 +45,7 @@ def register(
 
     Parameters
     ----------
-    term : "ambient", "direct", "specular" or "background".
+    term : one of `scenes.terms.TERMS`.
     name : lower-case words joined by hyphens; not one that the table has.
     function : (scene, samples, seed) -> image (H, W, 3), linear radiance of that term, its weights inside. Equal seeds
         give equal images, different ones independent images.

@@ -201,6 +201,8 @@ VARIANTS = (
         equation=r"\frac{1}{N} \sum_k \mathrm{hit}(\omega_k)\, L_{a0}, \quad \omega_k \sim \frac{\cos\theta}{\pi}",
         converges_to=r"\mathrm{AO} \cdot L_{a0}",
         source="cosine-weighted sampling; Owen-scrambled Sobol points (Burley, JCGT 2020)",
+        measured=True,
+        open_is_one=True,
     ),
     Variant(
         name="uniform",
@@ -225,6 +227,7 @@ VARIANTS = (
         equation=r"\frac{2\pi}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k - 1 + U}{N}",
         converges_to=r"\pi \cdot \mathrm{AO} \cdot L_{a0}",
         source="the paper's integral, which has no 1/π",
+        measured=True,
         ratio=lambda scene: math.pi if scene.toggles.ambient_occlusion else 1.0,
     ),
     Variant(
@@ -250,5 +253,6 @@ VARIANTS = (
         equation=r"L_{a0}",
         converges_to=r"L_{a0}",
         source="the paper's ambient light with ambient occlusion switched off",
+        occludes=False,
     ),
 )

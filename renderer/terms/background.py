@@ -45,5 +45,6 @@ VARIANTS = (
         equation=r"\frac{1}{N} \sum_k L_{\text{sky}}(\omega_k) \text{ or } L_e",
         converges_to=r"L_{\text{sky}},\ L_e",
         source="the paper's sky; lights drawn as an option",
+        measured=True,
     ),
 )

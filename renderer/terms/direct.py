@@ -286,6 +286,9 @@ VARIANTS = (
         r" + \frac{1}{\pi} \sum_p \Phi_p K_r(x_p - x) / M_r \Big]",
         converges_to=r"E / \pi \;\; (r \to 0;\ \text{exact for first-hit})",
         source="light sampling for the first hit; progressive photon mapping (Knaus, Zwicker, TOG 2011) for the rest",
+        measured=True,
+        samples_lights=True,
+        several_lights=True,
         inputs=lambda scene, chain, photons: (photons,),
         photons=lambda scene, chain: "scattered" if scene.scope == "all" else None,
         kernel=lambda scene, samples: (
@@ -302,6 +305,9 @@ VARIANTS = (
         equation=r"\frac{1}{N} \sum_k \sum_j \beta_j \frac{L_e \cos\theta \cos\theta'}{d^2\, p}",
         converges_to=r"E_{\text{all}} / \pi",
         source="path tracing with light sampling at every vertex; roulette with 1/p (Arvo, Kirk, 1990)",
+        measured=True,
+        samples_lights=True,
+        no_maps="paths follow the light's bounces",
         scatterings=("diffuse",),
     ),
     Variant(
@@ -313,6 +319,7 @@ VARIANTS = (
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
         converges_to=r"\frac{k}{k-1} E_{\text{all}} / \pi,\ \text{blurred over } r_k",
         source="the paper's photon map: all photons after roulette, the k nearest",
+        measured=True,
         inputs=lambda scene, chain, photons: (photons, scene.photons.nearest, 1.0),
         photons=lambda scene, chain: "all",
         kernel=_of_nearest(),

@@ -222,6 +222,7 @@ VARIANTS = (
         equation=r"\frac{1}{N} \sum_k F(\omega_o \cdot m_k)\, G_1(\omega_k)\, L_k, \quad m_k \sim D_{\omega_o}",
         converges_to=r"S[L]",
         source="Beckmann visible normals: Heitz, d'Eon, EGSR 2014",
+        measured=True,
     ),
     Variant(
         name="uniform",
@@ -246,6 +247,7 @@ VARIANTS = (
         equation=r"\frac{2}{N} \sum_k \frac{D F G}{\mu_o} L_k, \quad \mu_k = \frac{k - 1 + U}{N}",
         converges_to=r"\frac{4}{\pi} S[L] \text{ at every vertex}",
         source="the paper's BRDF D F G / (π μ_i μ_o), sampled uniformly over the hemisphere",
+        measured=True,
         ratio=lambda scene: 4.0 / math.pi if scene.max_bounces == 1 else None,
     ),
     Variant(

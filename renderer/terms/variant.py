@@ -15,6 +15,11 @@ from termwise.scenes.terms import Term
 # "path", the unbiased one that a study of specular variants uses, so that kernel bias cannot leak into its verdict;
 # ambient is `cosine` with both. "paper": the variants `paper` of both, as the paper's program has them.
 Chain = Literal["next-event", "path", "paper"]
+CHAINS: dict[Chain, dict[Term, str]] = {
+    "next-event": {"ambient": "cosine", "direct": "next-event"},
+    "path": {"ambient": "cosine", "direct": "path"},
+    "paper": {"ambient": "paper", "direct": "paper"},
+}
 # Photons kept in a map: those that were scattered at least once, or all; or all, those that survive the roulette being
 # left as they were.
 Stored = Literal["scattered", "all", "unweighted"]
@@ -44,6 +49,12 @@ class Variant:
     allowance : share of bias that is granted to a kernel-based variant, printed beside every verdict.
     ratio : scene -> predicted own / correct where that is one number for the whole image, else None.
     judged : whether a verdict is due without a twin; `why_not` says why where it is not.
+    measured : whether a study measures it that names no variants.
+    occludes : of the ambient term, whether it traces occlusion rays.
+    open_is_one : whether it knows without a ray that AO is 1 where nothing lies within reach.
+    samples_lights : whether it sends shadow rays to points of the lights.
+    several_lights : whether `arrays.light_samples` of them stand beside one estimate by photons.
+    no_maps : of the direct term, why it has no photon maps where it has none.
     """
 
     name: str
@@ -63,6 +74,12 @@ class Variant:
     ratio: Callable[[Scene], float | None] = lambda scene: None
     judged: bool = True
     why_not: str = ""
+    measured: bool = False
+    occludes: bool = True
+    open_is_one: bool = False
+    samples_lights: bool = False
+    several_lights: bool = False
+    no_maps: str = "first hits need none"
 
     def by_nearest(self, scene: Scene, chain: Chain) -> bool:
         """Whether its maps are searched for the k nearest photons, whose mean depends on how many are emitted."""

@@ -30,8 +30,7 @@ from termwise.reports.bench.curves import leaders, pooled, seconds_to, targets
 from termwise.scenes import limits
 from termwise.scenes.limits import Limit
 from termwise.scenes.load import load
-from termwise.scenes.model import Scene
-from termwise.scenes.terms import Scope
+from termwise.scenes.model import Scene, Scope
 
 SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
 TERMS = ("ambient", "direct", "specular")

@@ -154,6 +154,8 @@ def settings(loaded: Any, limit: Limit) -> Iterator[Setting]:
     elif limit.term == "specular":
         role = "specular"
         integrators = {f"x{n}": Chain(loaded, limit, n) for n in OCCLUSION}
+    elif limit.term != "direct":
+        raise ValueError(f"term = {limit.term!r}: allowed are ambient, direct and specular")
     elif limit.scope == "first-hit":
         role = "direct"
         # Each of n samples of a point counts fully in Mitsuba's `direct`: n times too bright. Such a light has no noise

@@ -17,48 +17,17 @@ import numpy as np
 from termwise.renderer.scratch import COUNTERS
 from termwise.renderer.terms import VARIANTS, Chain, Variant
 from termwise.renderer.tiles import Engine
+from termwise.scenes import terms
 from termwise.scenes.limits import Limit
-from termwise.scenes.model import BLACK, Material, Object, Scene, Toggles
+from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
 from termwise.scenes.terms import Term
-
-# What cannot change a term's image; `scope` changes direct, and specular through it.
-_IRRELEVANT = {
-    "ambient": ("lights", "sky", "photons", "scope", "max_bounces", "draw_lights", "irradiance"),
-    "direct": ("ambient", "sky", "max_bounces", "rings", "draw_lights"),
-    "specular": ("draw_lights",),
-    "background": ("ambient", "photons", "scope", "max_bounces", "rings", "irradiance", "ignore", "normals"),
-}
 
 
 def content(scene: Scene, variant: Variant, *, chain: Chain) -> str:
     """sha256 of what a term's image depends on in a scene: where it is equal, so is every byte of the image."""
-    term = variant.term
-    irrelevant = _IRRELEVANT[term]
-    if scene.shadows == "paper":  # then lights decide on the ambient term as well
-        irrelevant = tuple(field for field in irrelevant if field != "lights")
-    elif term != "specular":
-        scene = _plain(scene, term)
-    if variant.photons(scene, chain) is None:
-        irrelevant = (*irrelevant, "photons")
-    objects = tuple(attrs.evolve(thing, name=str(i)) for i, thing in enumerate(scene.objects))
-    return attrs.evolve(scene, objects=objects).digest(without=("name", "exposure", *irrelevant))
-
-
-def _plain(scene: Scene, term: Term) -> Scene:
-    """The scene with all at its default that a term other than specular cannot see of materials, lights and toggles."""
-    if scene.photons.scattering == "full" and term == "direct":
-        return scene
-    lit = term == "direct" or (term == "background" and scene.draw_lights)
-
-    def plain(thing: Object) -> Object:
-        share = BLACK if term == "background" else scene.diffuse_weight(thing.surface)
-        emission = thing.emission if lit or not thing.emits else (1.0, 1.0, 1.0)
-        return attrs.evolve(thing, material=Material(share), emission=emission)
-
-    occluded = term != "ambient" or scene.toggles.ambient_occlusion
-    toggles = Toggles(ambient_occlusion=occluded, lighting=scene.toggles.lighting or not lit)
-    return attrs.evolve(scene, objects=tuple(map(plain, scene.objects)), toggles=toggles)
+    without = terms.PHOTONS if variant.photons(scene, chain) is None else ()
+    return terms.content(scene, variant.term, without=without)
 
 
 @attrs.frozen(eq=False)
@@ -141,7 +110,7 @@ def key(
         variant.name,
         samples,
         seed,
-        chain if variant.term == "specular" else "",
+        chain if terms.TABLE[variant.term].meets else "",
         versions,
         estimator.fingerprint() if fingerprint is None else fingerprint,
     )

@@ -639,8 +639,7 @@ def _samples(frame: Frame, name: str) -> str:
             if frame.samples is not None
             else "its terms have different numbers of samples"
         )
-    term: Term = next(each for each in TERMS if each == name)
-    view = frame.terms[term]
+    view = frame.terms[name]
     if view.status == "skipped":
         return f"skipped: {view.reason}"
     if view.status == "preview":

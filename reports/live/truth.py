@@ -25,7 +25,7 @@ from termwise.reports.statistics.metrics import rmse
 from termwise.reports.statistics.replicates import REPLICATES_NEEDED
 from termwise.reports.statistics.rule import decide
 from termwise.scenes.limits import Limit
-from termwise.scenes.terms import TERMS, Term
+from termwise.scenes.terms import TABLE, TERMS, Term
 
 COUNT = 16
 LOOKS = (4, 8, COUNT)
@@ -200,8 +200,8 @@ class Truth:
 
     def _decided(self, term: Term, statistics: Statistics, tests: int) -> verdict.Verdict:
         scene, variant = self.state.scene, self.state.variant(term)
-        # Photons at the vertices of a specular chain bring their kernel's bias, which is allowed for as in direct.
-        in_chain = term == "specular" and needs_photons(scene, variant, CHAIN) is not None
+        # Photons at the vertices of a chain bring their kernel's bias, which is allowed for as in direct.
+        in_chain = bool(TABLE[term].meets) and needs_photons(scene, variant, CHAIN) is not None
         kernel = variant.kernel_based(scene) or in_chain
         return decide(
             statistics,

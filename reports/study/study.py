@@ -6,7 +6,8 @@ from typing import Any, Literal
 import attrs
 
 from termwise.renderer.fingerprint import Unknown
-from termwise.renderer.terms import VARIANTS, Chain, Variant, find, registered
+from termwise.renderer.terms import DEFAULTS, VARIANTS, Chain, Variant, find, registered
+from termwise.renderer.terms.variant import CHAINS
 from termwise.reports.statistics.convergence import RADII_NEEDED
 from termwise.scenes import strict
 from termwise.scenes.model import in_range, positive, unit_interval
@@ -60,14 +61,20 @@ def _some(study: object, attribute: attrs.Attribute, value: tuple[str, ...]) -> 
         raise ValueError(f"{attribute.name} = []: allowed is at least one")
 
 
-@attrs.frozen(kw_only=True)
-class Variants:
-    """Variants of each term to measure; the first is the one in `total`."""
+def _of_terms() -> Any:
+    """A class with a field of each term: the names of the variants that are measured by default."""
+    fields = {
+        term: attrs.field(
+            type=tuple[str, ...], default=tuple(name for name, variant in table.items() if variant.measured)
+        )
+        for term, table in VARIANTS.items()
+    }
+    return attrs.make_class("OfTerms", fields, frozen=True, kw_only=True)
 
-    ambient: tuple[str, ...] = ("cosine", "paper")
-    direct: tuple[str, ...] = ("next-event", "path", "paper")
-    specular: tuple[str, ...] = ("vndf", "paper")
-    background: tuple[str, ...] = ("seen",)
+
+@attrs.frozen(kw_only=True)
+class Variants(_of_terms()):
+    """Variants of each term to measure, a field a term; the first is the one in `total`."""
 
     def __attrs_post_init__(self) -> None:
         """Refuse a variant that does not exist."""
@@ -118,7 +125,7 @@ class Setting:
     what: str
     scenes: tuple[str, ...] = attrs.field(validator=_some)
     change: dict[str, Any]
-    variants: Variants = Variants(ambient=("cosine",), direct=("path",), specular=("vndf",))
+    variants: Variants = Variants(**{term: (name,) for term, name in (DEFAULTS | CHAINS["path"]).items()})
     chain: Chain = "path"
 
 

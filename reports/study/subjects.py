@@ -8,13 +8,14 @@ import cattrs
 
 from termwise.renderer.plan import check
 from termwise.renderer.terms import VARIANTS, Chain, Variant
+from termwise.renderer.terms.variant import CHAINS
 from termwise.reports.study import exact
 from termwise.reports.study.study import Setting, Study
 from termwise.scenes import limits, strict
 from termwise.scenes.limits import Limit
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
-from termwise.scenes.terms import TERMS, Term
+from termwise.scenes.terms import TABLE, TERMS, Term
 
 # Direct at the vertices of a specular chain, but for settings that name another: kernel bias must not leak into a
 # specular verdict.
@@ -172,10 +173,10 @@ def own_limit(study: Study, subject: Subject, variant: Variant) -> Limit:
     scene = subject.scene
     samples = study.samples_of(variant)
     limit, kernel = variant.limit(scene, samples), variant.kernel(scene, samples)
-    if subject.chain == "paper" and variant.term == "specular":
-        paper = {term: VARIANTS[term]["paper"] for term in ("ambient", "direct")}
-        kernel = paper["direct"].kernel(scene, samples)
-        limit = attrs.evolve(limit, scope="all", ambient=paper["ambient"].limit(scene, samples).factor)
+    if subject.chain == "paper" and TABLE[variant.term].meets:
+        met = {term: VARIANTS[term][name] for term, name in CHAINS[subject.chain].items()}
+        kernel = met["direct"].kernel(scene, samples)
+        limit = attrs.evolve(limit, scope="all", ambient=met["ambient"].limit(scene, samples).factor)
     if study.twin_maps is None or kernel is None:
         return limit
     # The twin scatters diffusely and leaves surfaces as Mitsuba does; its roulette decides how densely the nearest

@@ -7,7 +7,9 @@ import pytest
 from termwise import reference
 from termwise.reference import store
 from termwise.scenes.limits import Limit, correct, physical
+from termwise.scenes.load import load
 from termwise.scenes.model import Ambient, Camera, Mesh, Object, PointLight, Scene, Sky
+from termwise.scenes.terms import TERMS
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +75,59 @@ def test_constant_factors_and_irrelevant_fields_share_replicates(scene, renders,
     paper = store.replicates(other, Limit("ambient", factor=np.pi), spp=2, seed=1, count=1, folder=tmp_path)
     assert renders == [0]
     np.testing.assert_allclose(paper.images, np.pi * plain.images, rtol=1e-6)
+
+
+def _painted(scene, **changes):
+    """The scene, the material and the emission of all things changed."""
+    emission = changes.pop("emission", 1.0)
+    things = tuple(
+        attrs.evolve(
+            thing,
+            material=attrs.evolve(thing.material, **changes),
+            emission=tuple(emission * channel for channel in thing.emission),
+        )
+        for thing in scene.objects
+    )
+    return attrs.evolve(scene, objects=things)
+
+
+# What is changed, and the terms that it cannot touch.
+UNTOUCHED = {
+    "lobe": (lambda scene: _painted(scene, roughness=0.9, f0=(0.9, 0.5, 0.1)), ("ambient", "direct", "background")),
+    "share": (lambda scene: _painted(scene, color=(0.2, 0.1, 0.3), gloss=0.0), ("ambient", "direct", "background")),
+    "light": (lambda scene: _painted(scene, emission=0.5), ("ambient", "background")),
+    "lighting": (
+        lambda scene: attrs.evolve(scene, toggles=attrs.evolve(scene.toggles, lighting=False)),
+        ("ambient", "background"),
+    ),
+    "occlusion": (
+        lambda scene: attrs.evolve(scene, toggles=attrs.evolve(scene.toggles, ambient_occlusion=False)),
+        ("direct", "background"),
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def shining() -> tuple[Scene, dict[str, np.ndarray]]:
+    """A scene whose lobes, lights and shares are all at work, and the image of each term."""
+    scene = _painted(attrs.evolve(load("two_cubes"), resolution=(8, 6)), color=(0.4, 0.2, 0.6), gloss=0.5)
+    terms = ("ambient", "direct", "background")  # no change leaves specular alone
+    return scene, {term: reference.replicate(scene, correct(term, "all"), spp=2, seed=1) for term in terms}
+
+
+@pytest.mark.parametrize("change", UNTOUCHED)
+def test_equal_names_mean_equal_bytes(shining, change):
+    """`color (1 - gloss)` is the same to the bit."""
+    (scene, images), (made, untouched) = shining, UNTOUCHED[change]
+    changed = made(scene)
+    for term in TERMS:
+        limit = correct(term, "all")
+        names = {store.key(each, limit, spp=2, seed=1) for each in (scene, changed)}
+        assert (len(names) == 1) == (term in untouched), term
+    for term in untouched:
+        again = reference.replicate(changed, correct(term, "all"), spp=2, seed=1)
+        assert again.any() or term == "background"
+        assert again.tobytes() == images[term].tobytes(), term
 
 
 def test_physical_parts_come_from_one_render(scene, renders, tmp_path):

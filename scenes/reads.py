@@ -1,0 +1,62 @@
+"""What an image depends on in a scene: `key = sha256(fields that its term reads, fields that no term names)`.
+
+A field is named by its path, "photons.count"; those of all objects share one, "objects.material.gloss". A term's row
+(`scenes.terms`) names what it reads. A field that some row names is in the keys of the terms that read it, and of no
+other; one that no row names is in every key, so that a new field can make a key too fine, never an image stale.
+"""
+
+import hashlib
+from collections.abc import Callable, Collection, Iterable, Iterator
+from typing import Any
+
+import attrs
+
+from termwise.scenes.model import Scene, absorb
+
+UNREAD = ("name", "exposure", "objects.name")
+"""Fields that no image depends on."""
+
+
+@attrs.frozen
+class Read:
+    """Fields that a term reads.
+
+    Attributes
+    ----------
+    fields : their paths.
+    of : scene -> all that the term sees of them, where that is less than they say.
+    when : scene -> whether it reads them there.
+    """
+
+    fields: tuple[str, ...]
+    of: Callable[[Scene], object] | None = None
+    when: Callable[[Scene], bool] = lambda scene: True
+
+
+def read(*fields: str, **options: Any) -> Read:
+    """A `Read` of the fields named."""
+    return Read(fields, **options)
+
+
+def fields_of(thing: Any, path: str = "") -> Iterator[tuple[str, str, Any]]:
+    """Path, class and value of each field of the scene's model, as it was made: in order, object by object."""
+    for field in attrs.fields(type(thing)):
+        here, value = f"{path}{field.name}", getattr(thing, field.name)
+        several = isinstance(value, tuple) and (not value or attrs.has(type(value[0])))
+        for item in value if several else (value,):
+            if attrs.has(type(item)):
+                yield from fields_of(item, f"{here}.")
+            else:
+                yield here, type(thing).__name__, item
+
+
+def digest(scene: Scene, *, without: Collection[str], seen: Iterable[Read] = ()) -> str:
+    """sha256 of the fields of a scene but those `without`, and of what is `seen` of some of them."""
+    state = hashlib.sha256()
+    for path, kind, value in fields_of(scene):
+        if path not in without:
+            absorb(state, (path, kind, value))
+    for each in seen:
+        if each.of is not None:
+            absorb(state, (each.fields, each.of(scene)))
+    return state.hexdigest()
