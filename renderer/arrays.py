@@ -10,58 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from termwise.renderer import material, triangles
 from termwise.renderer.aim import cone
-from termwise.renderer.geometry import bvh
-from termwise.renderer.geometry.bvh import Tree
-from termwise.renderer.openness import open_sides
+from termwise.renderer.material import Materials
+from termwise.renderer.triangles import Geometry
 from termwise.renderer.vector import Vec3
 from termwise.scenes.model import Camera, PointLight, Scene
-
-
-class Geometry(NamedTuple):
-    """Triangles of all objects in one list.
-
-    Attributes
-    ----------
-    corners : (F, 3, 3), vertex positions.
-    normals : (F, 3), unit geometric normals, zero for a face without area.
-    shading : (F, 3, 3), unit normals at the corners; the geometric one where shading is flat.
-    smooth : (F,) bool, whether `shading` is interpolated.
-    object : (F,) index of the object.
-    first : (O + 1,) first face of each object, and the number of faces.
-    tree : the hierarchy over the faces.
-    """
-
-    corners: np.ndarray
-    normals: np.ndarray
-    shading: np.ndarray
-    smooth: np.ndarray
-    object: np.ndarray
-    first: np.ndarray
-    tree: Tree
-
-
-class Materials(NamedTuple):
-    """What surfaces of each object do to light; emitters are black.
-
-    Attributes
-    ----------
-    color : (O, 3).
-    diffuse : (O, 3), color (1 - gloss).
-    specular : (O,), gloss.
-    alpha : (O,), Beckmann roughness.
-    f0 : (O, 3), Schlick's reflectance at normal incidence.
-    emission : (O, 3), radiance of the front side.
-    open : (O, 2) bool, whether nothing can lie within the ambient range of the object's front, and of its back.
-    """
-
-    color: np.ndarray
-    diffuse: np.ndarray
-    specular: np.ndarray
-    alpha: np.ndarray
-    f0: np.ndarray
-    emission: np.ndarray
-    open: np.ndarray
 
 
 class Emitters(NamedTuple):
@@ -189,11 +143,10 @@ def light_samples(scene: Scene, without: Collection[str] = ()) -> int:
 
 def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
     """Flatten a validated scene and build its tree; `without` names skips and economies that are not taken."""
-    geometry = _geometry(scene)
     emitters = emitters_of(scene)
     return SceneArrays(
-        geometry,
-        _materials(scene, without),
+        triangles.from_scene(scene),
+        material.from_scene(scene, without),
         emitters,
         _shadow_rule(scene),
         _sky(scene, without),
@@ -211,52 +164,6 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
         scene.intersection == "watertight",
         scene.draw_lights,
         Skips(*(name not in without for name in Skips._fields)),
-    )
-
-
-def _geometry(scene: Scene) -> Geometry:
-    corners, shading, smooth, owner = [], [], [], []
-    for index, thing in enumerate(scene.objects):
-        mesh = thing.mesh
-        corners.append(mesh.vertices[mesh.faces])
-        is_smooth = mesh.normals is not None
-        shading.append(mesh.normals[mesh.faces] if mesh.normals is not None else np.zeros_like(corners[-1]))
-        smooth.append(np.full(len(mesh.faces), is_smooth))
-        owner.append(np.full(len(mesh.faces), index, np.int32))
-    if not corners:
-        empty = np.zeros((0, 3, 3))
-        none = np.zeros(0, np.int32)
-        first = np.zeros(1, np.int32)
-        return Geometry(empty, np.zeros((0, 3)), empty, none.astype(np.bool_), none, first, bvh.build(empty))
-    faces = np.ascontiguousarray(np.concatenate(corners))
-    area_normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    length = np.linalg.norm(area_normals, axis=1, keepdims=True)
-    normals = np.divide(area_normals, length, out=np.zeros_like(area_normals), where=length > 0)
-    shading_normals = np.ascontiguousarray(np.concatenate(shading))
-    is_smooth = np.concatenate(smooth)
-    shading_normals[~is_smooth] = normals[~is_smooth, None, :]
-    return Geometry(
-        corners=faces,
-        normals=normals,
-        shading=shading_normals,
-        smooth=is_smooth,
-        object=np.concatenate(owner).astype(np.int32),
-        first=np.cumsum([0, *map(len, owner)]).astype(np.int32),
-        tree=bvh.build(faces),
-    )
-
-
-def _materials(scene: Scene, without: Collection[str]) -> Materials:
-    surfaces = [thing.surface for thing in scene.objects]
-    lit = scene.toggles.lighting
-    return Materials(
-        np.array([surface.color for surface in surfaces]).reshape(-1, 3),
-        np.array([scene.diffuse_weight(surface) for surface in surfaces]).reshape(-1, 3),
-        np.array([scene.specular_weight(surface) for surface in surfaces]).reshape(-1),
-        np.array([surface.roughness for surface in surfaces]).reshape(-1),
-        np.array([surface.f0 for surface in surfaces]).reshape(-1, 3),
-        np.array([thing.emission if lit else (0.0, 0.0, 0.0) for thing in scene.objects]).reshape(-1, 3),
-        np.zeros((len(surfaces), 2), np.bool_) if "open" in without else open_sides(scene),
     )
 
 

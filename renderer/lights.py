@@ -15,9 +15,11 @@ import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.jit import device
+from termwise.renderer.material import emission
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sobol import Sampler, sample_2d
-from termwise.renderer.surface import Surface, occluded, point_on_face
+from termwise.renderer.surface import Surface, occluded
+from termwise.renderer.triangles import point_on_face
 from termwise.renderer.vector import Vec3, add, dot, entry, is_black, length, scale, sub, vec3
 from termwise.renderer.warp import INV_PI, square_to_triangle
 
@@ -123,7 +125,7 @@ def sample_light(scene: SceneArrays, surface: Surface, u: float, v: float) -> tu
         cos_light = -dot(vec3(scene.geometry.normals, target), direction)
         if cos_light <= 0.0:
             return black, direction, target
-        radiant = vec3(scene.materials.emission, scene.geometry.object[target])
+        radiant = emission(scene, target, b1, b2)
         strength = INV_PI * emitters.area[index - points] * cos_light / (length(direction) * probability)
     # `direction` is not normalised: each cosine carries one factor of the distance.
     cos_surface = dot(surface.normal, direction)

@@ -21,12 +21,14 @@ from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights import pick
+from termwise.renderer.material import diffuse_weight, emission, lobe_alpha, lobe_f0, specular_weight
 from termwise.renderer.microfacet import sample_lobe
 from termwise.renderer.photon_map import PhotonMap, build, empty
 from termwise.renderer.rng import fold, stream
 from termwise.renderer.scratch import PHOTONS, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
-from termwise.renderer.surface import Surface, point_on_face, trace
+from termwise.renderer.surface import Surface, trace
+from termwise.renderer.triangles import point_on_face
 from termwise.renderer.vector import (
     Vec3,
     dot,
@@ -113,7 +115,7 @@ def _emit(scene: SceneArrays, aimed: bool, sampler: Sampler) -> tuple[Vec3, Vec3
     u, v = sample_2d(sampler, 2)
     local = square_to_cosine_hemisphere(u, v)
     direction = to_world(frame(vec3(scene.geometry.normals, face)), local)
-    radiance = vec3(scene.materials.emission, scene.geometry.object[face])
+    radiance = emission(scene, face, b1, b2)
     return origin, direction, scale(radiance, math.pi * emitters.area[index - points] / probability), face
 
 
@@ -134,9 +136,9 @@ def _shading_ratio(scene: SceneArrays, surface: Surface, wi: Vec3, wo: Vec3) -> 
 def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sampler) -> tuple[Vec3, Vec3]:
     """Direction of a photon that goes on and the factor on its flux; a black factor where it is absorbed."""
     black = Vec3(0.0, 0.0, 0.0)
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     diffuse = max_component(weight)
-    gloss = scene.materials.specular[surface.object] if rule.full else 0.0
+    gloss = specular_weight(scene, surface) if rule.full else 0.0
     if diffuse + gloss == 0.0:
         return black, black
     share = diffuse / (diffuse + gloss)
@@ -146,8 +148,8 @@ def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sa
         weight = scale(weight, 1.0 / share)
         wi = square_to_cosine_hemisphere(u, v)
     else:
-        f0 = vec3(scene.materials.f0, surface.object)
-        alpha = scene.materials.alpha[surface.object]
+        f0 = lobe_f0(scene, surface)
+        alpha = lobe_alpha(scene, surface)
         # The BRDF is reciprocal: the photon's w_i is sampled as a view's would be.
         wi, weight = sample_lobe(to_local(local, surface.wo), alpha, f0, u, v)
         weight = scale(weight, gloss / (1.0 - share))
@@ -186,7 +188,7 @@ def _trace_photons(
             surface = trace(scene, make_ray(origin, heading), origin_face, scratch)
             if surface.face < 0:
                 break
-            if (depth > 0 or first_hits) and not is_black(vec3(scene.materials.diffuse, surface.object)):
+            if (depth > 0 or first_hits) and not is_black(diffuse_weight(scene, surface)):
                 if landed < len(face):
                     position[landed, 0] = surface.point.x
                     position[landed, 1] = surface.point.y

@@ -15,6 +15,7 @@ from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights import light_irradiance, sample_light
+from termwise.renderer.material import diffuse_weight
 from termwise.renderer.photon_map import PhotonMap, estimate_irradiance
 from termwise.renderer.photon_search import nearest_irradiance
 from termwise.renderer.photon_tracing import MAX_SURVIVAL
@@ -34,7 +35,6 @@ from termwise.renderer.vector import (
     put,
     scale,
     to_world,
-    vec3,
 )
 from termwise.renderer.warp import INV_PI, square_to_cosine_hemisphere
 from termwise.scenes import limits
@@ -55,7 +55,7 @@ def direct_next_event(
 
     With an empty map: E of the first hit, unbiased.
     """
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     if scene.skips.diffuse and is_black(weight):
         return weight
     straight = light_irradiance(scene, surface, sampler, LIGHT, scratch)
@@ -65,7 +65,7 @@ def direct_next_event(
 @device
 def _reflected(scene: SceneArrays, surface: Surface, straight: Vec3, scattered: Vec3) -> Vec3:
     """Radiance by E / pi that arrives straight, and by E that was scattered."""
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     return scale(mul(weight, mad(scattered, INV_PI, straight)), scene.irradiance_factor)
 
 
@@ -75,7 +75,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
 
     A path of throughput t goes on with probability t / FAINT, at most MAX_SURVIVAL, and is divided by it.
     """
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     if scene.skips.diffuse and is_black(weight):
         return weight
     throughput = Vec3(1.0, 1.0, 1.0)
@@ -88,7 +88,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
         surface = trace(scene, make_ray(surface.point, direction), surface.face, scratch)
         if surface.face < 0:
             break
-        throughput = mul(throughput, vec3(scene.materials.diffuse, surface.object))
+        throughput = mul(throughput, diffuse_weight(scene, surface))
         survival = min(MAX_SURVIVAL, max_component(throughput) / FAINT)
         if sample_1d(sampler, ROULETTE) >= survival:
             break
@@ -109,7 +109,7 @@ def direct_nearest(
     scratch: Scratch,
 ) -> Vec3:
     """`factor` times the paper's estimate by the k nearest photons; k is the length of the scratch arrays."""
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     if scene.skips.diffuse and is_black(weight):
         return weight
     scratch.counts[DENSITY_ESTIMATES] += 1
@@ -154,9 +154,7 @@ def _next_event(
                     surface = surface_of(scene, scratch.sights, i)
                     if (
                         surface.face >= 0
-                        and not (
-                            scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object))
-                        )
+                        and not (scene.skips.diffuse and is_black(diffuse_weight(scene, surface)))
                         and not shadowed(scene, surface, scratch)
                     ):
                         scattered = estimate_irradiance(scene, photons, surface, scratch)
@@ -211,7 +209,7 @@ def _photon_map(
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
                     if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        weight = vec3(scene.materials.diffuse, surface.object)
+                        weight = diffuse_weight(scene, surface)
                         if not (scene.skips.diffuse and is_black(weight)):
                             irradiance = estimate_irradiance(scene, photons, surface, scratch)
                             radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)

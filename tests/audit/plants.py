@@ -162,7 +162,7 @@ PLANTS = (
         "path: albedo of the vertex before",
         PATH,
         _DIRECT,
-        "throughput = mul(throughput, vec3(scene.materials.diffuse, surface.object))",
+        "throughput = mul(throughput, diffuse_weight(scene, surface))",
         "throughput = mul(throughput, weight)",
     ),
     Plant(

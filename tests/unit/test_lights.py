@@ -83,7 +83,7 @@ def test_lamps_keep_their_mean(compiled):
 def surface_at(x: float, y: float) -> Surface:
     """A point of the floor, seen from above."""
     up = Vec3(0.0, 0.0, 1.0)
-    return Surface(Vec3(x, y, 0.0), up, up, 0, 0, 1.0)
+    return Surface(Vec3(x, y, 0.0), up, up, 0, 0, 1.0, 0.0, 0.0)
 
 
 def test_no_emitter_that_lights_a_point_is_left_out(compiled):
