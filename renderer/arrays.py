@@ -3,7 +3,6 @@
 What a kernel may assume is written here. All floats are float64, all indices int32.
 """
 
-import functools
 import math
 from collections.abc import Collection
 from typing import NamedTuple
@@ -11,39 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from termwise.renderer import material, triangles
-from termwise.renderer.aim import cone
+from termwise.renderer.lights import Emitters, emitters_of, samples_differ
 from termwise.renderer.material import Materials
 from termwise.renderer.triangles import Geometry
 from termwise.renderer.vector import Vec3
-from termwise.scenes.model import Camera, PointLight, Scene
-
-
-class Emitters(NamedTuple):
-    """Point lights first, then emitting faces; picked in proportion to their power.
-
-    Attributes
-    ----------
-    point : (P, 3), positions.
-    intensity : (P, 3).
-    face : (E,), face indices.
-    area : (E,), area of each face.
-    cdf : (P + E + 1,), running sum of the picking probabilities, from 0 to 1; 0 alone without lights.
-    axis, cosine : (P, 3), (P,), the cone around the scene of each point light, see `renderer.aim`.
-    aimed : (P + E + 1,), the same sum as `cdf`, a point light's power being that within its cone.
-    share : that power over all power.
-    strength : (P + E,), mean channel of the intensity of a point, of radiance times area of a face.
-    """
-
-    point: np.ndarray
-    intensity: np.ndarray
-    face: np.ndarray
-    area: np.ndarray
-    cdf: np.ndarray
-    axis: np.ndarray
-    cosine: np.ndarray
-    aimed: np.ndarray
-    share: float
-    strength: np.ndarray
+from termwise.scenes.model import Camera, Scene
 
 
 class ShadowRule(NamedTuple):
@@ -137,8 +108,8 @@ LIGHT_SAMPLES = 4
 
 def light_samples(scene: Scene, without: Collection[str] = ()) -> int:
     """How many light samples stand beside one estimate by photons: one where all samples of the light are alike."""
-    alike = len(scene.lights) == 1 and not any(thing.emits for thing in scene.objects)
-    return 1 if "splitting" in without or scene.scope != "all" or alike else LIGHT_SAMPLES
+    single = "splitting" in without or scene.scope != "all" or not samples_differ(scene)
+    return 1 if single else LIGHT_SAMPLES
 
 
 def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
@@ -156,7 +127,7 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
         scene.max_bounces,
         scene.rings,
         0.0 if "roulette" in without else FAINT,
-        "lights" not in without and FEW_EMITTERS < len(emitters.strength) <= MANY_EMITTERS,
+        "lights" not in without and FEW_EMITTERS < len(emitters.kind) <= MANY_EMITTERS,
         light_samples(scene, without),
         scene.irradiance_factor,
         scene.ignore == "object",
@@ -165,46 +136,6 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
         scene.draw_lights,
         Skips(*(name not in without for name in Skips._fields)),
     )
-
-
-@functools.lru_cache(maxsize=4)
-def emitters_of(scene: Scene) -> Emitters:
-    """The lights of a scene, without its tree; kept, because the plan asks often and a cone looks at all vertices."""
-    points: list[PointLight] = []
-    lamps: list[int] = []
-    if scene.toggles.lighting:
-        points = [light for light in scene.lights if any(light.intensity)]
-        lamps = [index for index, thing in enumerate(scene.objects) if thing.emits]
-    meshes = [thing.mesh for thing in scene.objects]
-    first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
-    faces = np.concatenate([np.zeros(0, np.int64), *(np.arange(first[i], first[i + 1]) for i in lamps)])
-    edges = np.concatenate([np.zeros((0, 3, 3)), *(meshes[i].vertices[meshes[i].faces] for i in lamps)])
-    radiance = np.concatenate(
-        [np.zeros((0, 3)), *(np.tile(scene.objects[i].emission, (len(meshes[i].faces), 1)) for i in lamps)]
-    )
-    area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1)
-    faces, area, radiance = faces[area > 0].astype(np.int32), area[area > 0], radiance[area > 0]
-    intensity = np.array([light.intensity for light in points]).reshape(-1, 3)
-    position = np.array([light.position for light in points]).reshape(-1, 3)
-    vertices = np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)])
-    cones = [cone(point, vertices) for point in position]
-    axis = np.array([axis for axis, _ in cones]).reshape(-1, 3)
-    cosine = np.array([cosine for _, cosine in cones])
-    solid_angle = 2.0 * math.pi * (1.0 - cosine)
-
-    sent = math.pi * area * radiance.mean(axis=1)
-    powers = [np.append(angle * intensity.mean(axis=1), sent) for angle in (4.0 * math.pi, solid_angle)]
-    cdf, aimed = map(_running_sum, powers)
-    share = float(powers[1].sum() / powers[0].sum()) if len(sent) + len(points) else 1.0
-    strength = np.append(intensity.mean(axis=1), area * radiance.mean(axis=1))
-    return Emitters(position, intensity, faces, area, cdf, axis, cosine, aimed, share, strength)
-
-
-def _running_sum(power: np.ndarray) -> np.ndarray:
-    """Of the probabilities that go as `power`, from 0 to 1."""
-    if not len(power):
-        return np.zeros(1)
-    return np.concatenate([[0.0], np.cumsum(power[:-1]) / power.sum(), [1.0]])
 
 
 def _shadow_rule(scene: Scene) -> ShadowRule:

@@ -20,19 +20,17 @@ import numpy as np
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
-from termwise.renderer.lights import pick
-from termwise.renderer.material import diffuse_weight, emission, lobe_alpha, lobe_f0, specular_weight
+from termwise.renderer.lights import emit_photon
+from termwise.renderer.material import diffuse_weight, lobe_alpha, lobe_f0, specular_weight
 from termwise.renderer.microfacet import sample_lobe
 from termwise.renderer.photon_map import PhotonMap, build, empty
 from termwise.renderer.rng import fold, stream
 from termwise.renderer.scratch import PHOTONS, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
 from termwise.renderer.surface import Surface, trace
-from termwise.renderer.triangles import point_on_face
 from termwise.renderer.vector import (
     Vec3,
     dot,
-    entry,
     frame,
     is_black,
     max_component,
@@ -44,9 +42,6 @@ from termwise.renderer.vector import (
 )
 from termwise.renderer.warp import (
     square_to_cosine_hemisphere,
-    square_to_triangle,
-    square_to_uniform_cone,
-    square_to_uniform_sphere,
 )
 
 # Below 1, so that a path in a closed box of albedo 1 ends; 1 / P keeps the mean.
@@ -55,6 +50,7 @@ _CHUNK = 4096
 _STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pixel
 _VERTEX = 16  # keys of a photon's vertices: beyond the pairs of its emission
 _PHOTON = 1 << 32  # keys of photons that have a sequence each: beyond those of the vertices
+_PLACE, _WAY = 1, 2
 _ROULETTE, _DIRECTION, _LOBE = 0, 1, 2
 
 
@@ -91,32 +87,6 @@ def _sampler(rule: Scattering, key: np.uint64, index: int) -> Sampler:
     if rule.independent:
         return Sampler(fold(key, _PHOTON + index), np.uint32(0))
     return Sampler(key, np.uint32(index))
-
-
-@device
-def _emit(scene: SceneArrays, aimed: bool, sampler: Sampler) -> tuple[Vec3, Vec3, Vec3, int]:
-    """Origin, direction, power and face (-1: a point light) of a photon, one of one."""
-    emitters = scene.emitters
-    u, v = sample_2d(sampler, 1)
-    index, probability, u = pick(emitters.aimed if aimed else emitters.cdf, u)
-    points = len(emitters.point)
-    if index < points:
-        u, v = sample_2d(sampler, 2)
-        cosine = emitters.cosine[index]
-        if aimed and cosine > 0.0:
-            power = scale(vec3(emitters.intensity, index), 2.0 * math.pi * (1.0 - cosine) / probability)
-            local = square_to_uniform_cone(u, v, cosine)
-            return vec3(emitters.point, index), to_world(frame(vec3(emitters.axis, index)), local), power, -1
-        power = scale(vec3(emitters.intensity, index), 4.0 * math.pi / probability)
-        return vec3(emitters.point, index), square_to_uniform_sphere(u, v), power, -1
-    face = entry(emitters.face, index - points)
-    b1, b2 = square_to_triangle(u, v)
-    origin = point_on_face(scene.geometry, face, b1, b2)
-    u, v = sample_2d(sampler, 2)
-    local = square_to_cosine_hemisphere(u, v)
-    direction = to_world(frame(vec3(scene.geometry.normals, face)), local)
-    radiance = emission(scene, face, b1, b2)
-    return origin, direction, scale(radiance, math.pi * emitters.area[index - points] / probability), face
 
 
 @device
@@ -182,7 +152,9 @@ def _trace_photons(
     landed = 0
     scratch.counts[PHOTONS] += last - first
     for index in range(first, last):
-        origin, heading, flux, origin_face = _emit(scene, rule.aimed, _sampler(rule, key, index))
+        emission = _sampler(rule, key, index)
+        place, way = sample_2d(emission, _PLACE), sample_2d(emission, _WAY)
+        origin, heading, flux, origin_face = emit_photon(scene, rule.aimed, place, way)
         depth = 0
         while not is_black(flux):
             surface = trace(scene, make_ray(origin, heading), origin_face, scratch)
@@ -235,7 +207,7 @@ def emit(
     pool : the chunks run here; their order, hence the map, does not depend on the number of threads.
     scratch : gives the calling thread its memory.
     """
-    if len(scene.emitters.strength) == 0:
+    if len(scene.emitters.kind) == 0:
         return empty(radius)
     emitted = max(1, math.ceil(count * scene.emitters.share)) if rule.aimed else count
     photons_key = stream(stream(key, _STREAM), index)

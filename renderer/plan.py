@@ -349,7 +349,7 @@ def _roulette(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 
 def _lights(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    count = len(emitters_of(scene).strength)
+    count = len(emitters_of(scene).kind)
     samples_lights = variant.name in ("next-event", "path") or (
         variant.term == "specular" and chain != "paper"
     )

@@ -14,7 +14,7 @@ from termwise.renderer.film import accumulate, item_of, sampler_of, see, settle,
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
-from termwise.renderer.lights import light_irradiance, sample_light
+from termwise.renderer.lights import sample_light
 from termwise.renderer.material import diffuse_weight
 from termwise.renderer.photon_map import PhotonMap, estimate_irradiance
 from termwise.renderer.photon_search import nearest_irradiance
@@ -22,7 +22,7 @@ from termwise.renderer.photon_tracing import MAX_SURVIVAL
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
-from termwise.renderer.surface import Surface, put_occlusion_ray, shadowed, surface_of, trace
+from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of, trace
 from termwise.renderer.terms.variant import Variant
 from termwise.renderer.vector import (
     Vec3,
@@ -45,6 +45,20 @@ LIGHT = 2  # the pair that places a sample on a light
 BOUNCE = 4  # the direction of the next vertex of a path
 ROULETTE = 5
 _PATH = 64  # keys of a path's vertices: beyond the pairs above
+
+
+@device
+def light_irradiance(
+    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch
+) -> Vec3:
+    """E / pi at a surface, one sample; uses the pair `dimension`."""
+    u, v = sample_2d(sampler, dimension)
+    irradiance, direction, target = sample_light(scene, surface, u, v)
+    if scene.skips.horizon and is_black(irradiance):
+        return irradiance
+    if occluded(scene, surface, direction, 1.0, target, scratch):
+        return Vec3(0.0, 0.0, 0.0)
+    return irradiance
 
 
 @device
@@ -121,9 +135,9 @@ def direct_nearest(
 def _aim(scene: SceneArrays, count: int, scratch: Scratch) -> None:
     """Draw the points of the light samples of the first `count` sights: the k-th of sight i is point `8 k + i`.
 
-    In a loop of its own, which is vectorised. A point light alone leaves nothing to draw.
+    In a loop of its own, which is vectorised.
     """
-    if len(scene.emitters.strength) == len(scene.emitters.point) == 1:
+    if not scene.emitters.drawn:
         return
     for k in range(scene.light_samples):
         for i in range(count):
