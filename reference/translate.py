@@ -10,6 +10,7 @@ rendered here is what `reference.export` writes out.
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -113,7 +114,7 @@ def _scene(scene: Scene, role: Role, canonical: Canonical) -> dict[str, Any]:
         described[f"object{number}"] = _object(scene, thing, number, role, lit)
     if lit:
         for number, light in enumerate(scene.lights):
-            described[f"light{number}"] = _point_light(light, canonical)
+            described[f"light{number}"] = _LIGHTS[type(light)](light, canonical)
     if role == "ambient" and math.isinf(scene.occlusion_range):
         described["sky"] = {"type": "constant", "radiance": _rgb(scene.ambient.color)}
     if role in ("physical-sky", "physical") and not scene.sky.is_black:
@@ -131,7 +132,7 @@ def _object(scene: Scene, thing: Object, number: int, role: Role, lit: bool) -> 
         "bsdf": {"type": "twosided", "bsdf": _bsdf(scene, thing.surface, role)},
     }
     if lit and thing.emits:
-        described["emitter"] = {"type": "area", "radiance": _rgb(thing.emission)}
+        described["emitter"] = _face(thing)
     return described
 
 
@@ -154,12 +155,22 @@ def _bsdf(scene: Scene, material: Material, role: Role) -> dict[str, Any]:
     return {"type": "blendbsdf", "weight": gloss, "first": diffuse, "second": lobe | {"factor": 1.0}}
 
 
-def _point_light(light: PointLight, canonical: Canonical) -> dict[str, Any]:
+def _face(thing: Object) -> dict[str, Any]:
+    """The light of an emitting object's faces."""
+    return {"type": "area", "radiance": _rgb(thing.emission)}
+
+
+def _point(light: PointLight, canonical: Canonical) -> dict[str, Any]:
+    """A point light."""
     return {
         "type": "point",
         "position": canonical.points(light.position).tolist(),
         "intensity": _rgb([component * canonical.scale**2 for component in light.intensity]),
     }
+
+
+# The kinds of light that are no object, by the words of `renderer.lights`: a function each.
+_LIGHTS: dict[type, Callable[[Any, Canonical], dict[str, Any]]] = {PointLight: _point}
 
 
 def _sky(scene: Scene, canonical: Canonical) -> dict[str, Any]:

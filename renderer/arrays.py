@@ -3,93 +3,18 @@
 What a kernel may assume is written here. All floats are float64, all indices int32.
 """
 
-import functools
 import math
 from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.aim import cone
-from termwise.renderer.geometry import bvh
-from termwise.renderer.geometry.bvh import Tree
-from termwise.renderer.openness import open_sides
+from termwise.renderer import material, triangles
+from termwise.renderer.lights import Emitters, emitters_of, samples_differ
+from termwise.renderer.material import Materials
+from termwise.renderer.triangles import Geometry
 from termwise.renderer.vector import Vec3
-from termwise.scenes.model import Camera, PointLight, Scene
-
-
-class Geometry(NamedTuple):
-    """Triangles of all objects in one list.
-
-    Attributes
-    ----------
-    corners : (F, 3, 3), vertex positions.
-    normals : (F, 3), unit geometric normals, zero for a face without area.
-    shading : (F, 3, 3), unit normals at the corners; the geometric one where shading is flat.
-    smooth : (F,) bool, whether `shading` is interpolated.
-    object : (F,) index of the object.
-    first : (O + 1,) first face of each object, and the number of faces.
-    tree : the hierarchy over the faces.
-    """
-
-    corners: np.ndarray
-    normals: np.ndarray
-    shading: np.ndarray
-    smooth: np.ndarray
-    object: np.ndarray
-    first: np.ndarray
-    tree: Tree
-
-
-class Materials(NamedTuple):
-    """What surfaces of each object do to light; emitters are black.
-
-    Attributes
-    ----------
-    color : (O, 3).
-    diffuse : (O, 3), color (1 - gloss).
-    specular : (O,), gloss.
-    alpha : (O,), Beckmann roughness.
-    f0 : (O, 3), Schlick's reflectance at normal incidence.
-    emission : (O, 3), radiance of the front side.
-    open : (O, 2) bool, whether nothing can lie within the ambient range of the object's front, and of its back.
-    """
-
-    color: np.ndarray
-    diffuse: np.ndarray
-    specular: np.ndarray
-    alpha: np.ndarray
-    f0: np.ndarray
-    emission: np.ndarray
-    open: np.ndarray
-
-
-class Emitters(NamedTuple):
-    """Point lights first, then emitting faces; picked in proportion to their power.
-
-    Attributes
-    ----------
-    point : (P, 3), positions.
-    intensity : (P, 3).
-    face : (E,), face indices.
-    area : (E,), area of each face.
-    cdf : (P + E + 1,), running sum of the picking probabilities, from 0 to 1; 0 alone without lights.
-    axis, cosine : (P, 3), (P,), the cone around the scene of each point light, see `renderer.aim`.
-    aimed : (P + E + 1,), the same sum as `cdf`, a point light's power being that within its cone.
-    share : that power over all power.
-    strength : (P + E,), mean channel of the intensity of a point, of radiance times area of a face.
-    """
-
-    point: np.ndarray
-    intensity: np.ndarray
-    face: np.ndarray
-    area: np.ndarray
-    cdf: np.ndarray
-    axis: np.ndarray
-    cosine: np.ndarray
-    aimed: np.ndarray
-    share: float
-    strength: np.ndarray
+from termwise.scenes.model import Camera, Scene
 
 
 class ShadowRule(NamedTuple):
@@ -183,17 +108,16 @@ LIGHT_SAMPLES = 4
 
 def light_samples(scene: Scene, without: Collection[str] = ()) -> int:
     """How many light samples stand beside one estimate by photons: one where all samples of the light are alike."""
-    alike = len(scene.lights) == 1 and not any(thing.emits for thing in scene.objects)
-    return 1 if "splitting" in without or scene.scope != "all" or alike else LIGHT_SAMPLES
+    single = "splitting" in without or scene.scope != "all" or not samples_differ(scene)
+    return 1 if single else LIGHT_SAMPLES
 
 
 def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
     """Flatten a validated scene and build its tree; `without` names skips and economies that are not taken."""
-    geometry = _geometry(scene)
     emitters = emitters_of(scene)
     return SceneArrays(
-        geometry,
-        _materials(scene, without),
+        triangles.from_scene(scene),
+        material.from_scene(scene, without),
         emitters,
         _shadow_rule(scene),
         _sky(scene, without),
@@ -203,7 +127,7 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
         scene.max_bounces,
         scene.rings,
         0.0 if "roulette" in without else FAINT,
-        "lights" not in without and FEW_EMITTERS < len(emitters.strength) <= MANY_EMITTERS,
+        "lights" not in without and FEW_EMITTERS < len(emitters.kind) <= MANY_EMITTERS,
         light_samples(scene, without),
         scene.irradiance_factor,
         scene.ignore == "object",
@@ -212,92 +136,6 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
         scene.draw_lights,
         Skips(*(name not in without for name in Skips._fields)),
     )
-
-
-def _geometry(scene: Scene) -> Geometry:
-    corners, shading, smooth, owner = [], [], [], []
-    for index, thing in enumerate(scene.objects):
-        mesh = thing.mesh
-        corners.append(mesh.vertices[mesh.faces])
-        is_smooth = mesh.normals is not None
-        shading.append(mesh.normals[mesh.faces] if mesh.normals is not None else np.zeros_like(corners[-1]))
-        smooth.append(np.full(len(mesh.faces), is_smooth))
-        owner.append(np.full(len(mesh.faces), index, np.int32))
-    if not corners:
-        empty = np.zeros((0, 3, 3))
-        none = np.zeros(0, np.int32)
-        first = np.zeros(1, np.int32)
-        return Geometry(empty, np.zeros((0, 3)), empty, none.astype(np.bool_), none, first, bvh.build(empty))
-    faces = np.ascontiguousarray(np.concatenate(corners))
-    area_normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    length = np.linalg.norm(area_normals, axis=1, keepdims=True)
-    normals = np.divide(area_normals, length, out=np.zeros_like(area_normals), where=length > 0)
-    shading_normals = np.ascontiguousarray(np.concatenate(shading))
-    is_smooth = np.concatenate(smooth)
-    shading_normals[~is_smooth] = normals[~is_smooth, None, :]
-    return Geometry(
-        corners=faces,
-        normals=normals,
-        shading=shading_normals,
-        smooth=is_smooth,
-        object=np.concatenate(owner).astype(np.int32),
-        first=np.cumsum([0, *map(len, owner)]).astype(np.int32),
-        tree=bvh.build(faces),
-    )
-
-
-def _materials(scene: Scene, without: Collection[str]) -> Materials:
-    surfaces = [thing.surface for thing in scene.objects]
-    lit = scene.toggles.lighting
-    return Materials(
-        np.array([surface.color for surface in surfaces]).reshape(-1, 3),
-        np.array([scene.diffuse_weight(surface) for surface in surfaces]).reshape(-1, 3),
-        np.array([scene.specular_weight(surface) for surface in surfaces]).reshape(-1),
-        np.array([surface.roughness for surface in surfaces]).reshape(-1),
-        np.array([surface.f0 for surface in surfaces]).reshape(-1, 3),
-        np.array([thing.emission if lit else (0.0, 0.0, 0.0) for thing in scene.objects]).reshape(-1, 3),
-        np.zeros((len(surfaces), 2), np.bool_) if "open" in without else open_sides(scene),
-    )
-
-
-@functools.lru_cache(maxsize=4)
-def emitters_of(scene: Scene) -> Emitters:
-    """The lights of a scene, without its tree; kept, because the plan asks often and a cone looks at all vertices."""
-    points: list[PointLight] = []
-    lamps: list[int] = []
-    if scene.toggles.lighting:
-        points = [light for light in scene.lights if any(light.intensity)]
-        lamps = [index for index, thing in enumerate(scene.objects) if thing.emits]
-    meshes = [thing.mesh for thing in scene.objects]
-    first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
-    faces = np.concatenate([np.zeros(0, np.int64), *(np.arange(first[i], first[i + 1]) for i in lamps)])
-    edges = np.concatenate([np.zeros((0, 3, 3)), *(meshes[i].vertices[meshes[i].faces] for i in lamps)])
-    radiance = np.concatenate(
-        [np.zeros((0, 3)), *(np.tile(scene.objects[i].emission, (len(meshes[i].faces), 1)) for i in lamps)]
-    )
-    area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1)
-    faces, area, radiance = faces[area > 0].astype(np.int32), area[area > 0], radiance[area > 0]
-    intensity = np.array([light.intensity for light in points]).reshape(-1, 3)
-    position = np.array([light.position for light in points]).reshape(-1, 3)
-    vertices = np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)])
-    cones = [cone(point, vertices) for point in position]
-    axis = np.array([axis for axis, _ in cones]).reshape(-1, 3)
-    cosine = np.array([cosine for _, cosine in cones])
-    solid_angle = 2.0 * math.pi * (1.0 - cosine)
-
-    sent = math.pi * area * radiance.mean(axis=1)
-    powers = [np.append(angle * intensity.mean(axis=1), sent) for angle in (4.0 * math.pi, solid_angle)]
-    cdf, aimed = map(_running_sum, powers)
-    share = float(powers[1].sum() / powers[0].sum()) if len(sent) + len(points) else 1.0
-    strength = np.append(intensity.mean(axis=1), area * radiance.mean(axis=1))
-    return Emitters(position, intensity, faces, area, cdf, axis, cosine, aimed, share, strength)
-
-
-def _running_sum(power: np.ndarray) -> np.ndarray:
-    """Of the probabilities that go as `power`, from 0 to 1."""
-    if not len(power):
-        return np.zeros(1)
-    return np.concatenate([[0.0], np.cumsum(power[:-1]) / power.sum(), [1.0]])
 
 
 def _shadow_rule(scene: Scene) -> ShadowRule:

@@ -34,7 +34,13 @@ def _imports(module: str) -> tuple[Path, frozenset[str]]:
     """File of a module, and the modules of `renderer` that it imports."""
     path = Path(inspect.getfile(importlib.import_module(module)))
     found = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    waiting: list[ast.AST] = [ast.parse(path.read_text("utf-8"))]
+    while waiting:
+        node = waiting.pop()
+        # What only annotations name changes no code, and may not be there yet: it may import this module.
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            continue
+        waiting.extend(ast.iter_child_nodes(node))
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(PACKAGE):
             found.add(node.module)
             # `from termwise.renderer import sobol` names a module, `….sobol import x` a function.

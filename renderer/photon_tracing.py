@@ -20,17 +20,17 @@ import numpy as np
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
-from termwise.renderer.lights import pick
+from termwise.renderer.lights import emit_photon
+from termwise.renderer.material import diffuse_weight, lobe_alpha, lobe_f0, specular_weight
 from termwise.renderer.microfacet import sample_lobe
 from termwise.renderer.photon_map import PhotonMap, build, empty
 from termwise.renderer.rng import fold, stream
 from termwise.renderer.scratch import PHOTONS, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
-from termwise.renderer.surface import Surface, point_on_face, trace
+from termwise.renderer.surface import Surface, trace
 from termwise.renderer.vector import (
     Vec3,
     dot,
-    entry,
     frame,
     is_black,
     max_component,
@@ -42,9 +42,6 @@ from termwise.renderer.vector import (
 )
 from termwise.renderer.warp import (
     square_to_cosine_hemisphere,
-    square_to_triangle,
-    square_to_uniform_cone,
-    square_to_uniform_sphere,
 )
 
 # Below 1, so that a path in a closed box of albedo 1 ends; 1 / P keeps the mean.
@@ -53,6 +50,7 @@ _CHUNK = 4096
 _STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pixel
 _VERTEX = 16  # keys of a photon's vertices: beyond the pairs of its emission
 _PHOTON = 1 << 32  # keys of photons that have a sequence each: beyond those of the vertices
+_PLACE, _WAY = 1, 2
 _ROULETTE, _DIRECTION, _LOBE = 0, 1, 2
 
 
@@ -92,32 +90,6 @@ def _sampler(rule: Scattering, key: np.uint64, index: int) -> Sampler:
 
 
 @device
-def _emit(scene: SceneArrays, aimed: bool, sampler: Sampler) -> tuple[Vec3, Vec3, Vec3, int]:
-    """Origin, direction, power and face (-1: a point light) of a photon, one of one."""
-    emitters = scene.emitters
-    u, v = sample_2d(sampler, 1)
-    index, probability, u = pick(emitters.aimed if aimed else emitters.cdf, u)
-    points = len(emitters.point)
-    if index < points:
-        u, v = sample_2d(sampler, 2)
-        cosine = emitters.cosine[index]
-        if aimed and cosine > 0.0:
-            power = scale(vec3(emitters.intensity, index), 2.0 * math.pi * (1.0 - cosine) / probability)
-            local = square_to_uniform_cone(u, v, cosine)
-            return vec3(emitters.point, index), to_world(frame(vec3(emitters.axis, index)), local), power, -1
-        power = scale(vec3(emitters.intensity, index), 4.0 * math.pi / probability)
-        return vec3(emitters.point, index), square_to_uniform_sphere(u, v), power, -1
-    face = entry(emitters.face, index - points)
-    b1, b2 = square_to_triangle(u, v)
-    origin = point_on_face(scene.geometry, face, b1, b2)
-    u, v = sample_2d(sampler, 2)
-    local = square_to_cosine_hemisphere(u, v)
-    direction = to_world(frame(vec3(scene.geometry.normals, face)), local)
-    radiance = vec3(scene.materials.emission, scene.geometry.object[face])
-    return origin, direction, scale(radiance, math.pi * emitters.area[index - points] / probability), face
-
-
-@device
 def _shading_ratio(scene: SceneArrays, surface: Surface, wi: Vec3, wo: Vec3) -> float:
     """Correction of a scattered photon for shading normals: light and importance see different cosines.
 
@@ -134,9 +106,9 @@ def _shading_ratio(scene: SceneArrays, surface: Surface, wi: Vec3, wo: Vec3) -> 
 def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sampler) -> tuple[Vec3, Vec3]:
     """Direction of a photon that goes on and the factor on its flux; a black factor where it is absorbed."""
     black = Vec3(0.0, 0.0, 0.0)
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     diffuse = max_component(weight)
-    gloss = scene.materials.specular[surface.object] if rule.full else 0.0
+    gloss = specular_weight(scene, surface) if rule.full else 0.0
     if diffuse + gloss == 0.0:
         return black, black
     share = diffuse / (diffuse + gloss)
@@ -146,8 +118,8 @@ def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sa
         weight = scale(weight, 1.0 / share)
         wi = square_to_cosine_hemisphere(u, v)
     else:
-        f0 = vec3(scene.materials.f0, surface.object)
-        alpha = scene.materials.alpha[surface.object]
+        f0 = lobe_f0(scene, surface)
+        alpha = lobe_alpha(scene, surface)
         # The BRDF is reciprocal: the photon's w_i is sampled as a view's would be.
         wi, weight = sample_lobe(to_local(local, surface.wo), alpha, f0, u, v)
         weight = scale(weight, gloss / (1.0 - share))
@@ -180,13 +152,15 @@ def _trace_photons(
     landed = 0
     scratch.counts[PHOTONS] += last - first
     for index in range(first, last):
-        origin, heading, flux, origin_face = _emit(scene, rule.aimed, _sampler(rule, key, index))
+        emission = _sampler(rule, key, index)
+        place, way = sample_2d(emission, _PLACE), sample_2d(emission, _WAY)
+        origin, heading, flux, origin_face = emit_photon(scene, rule.aimed, place, way)
         depth = 0
         while not is_black(flux):
             surface = trace(scene, make_ray(origin, heading), origin_face, scratch)
             if surface.face < 0:
                 break
-            if (depth > 0 or first_hits) and not is_black(vec3(scene.materials.diffuse, surface.object)):
+            if (depth > 0 or first_hits) and not is_black(diffuse_weight(scene, surface)):
                 if landed < len(face):
                     position[landed, 0] = surface.point.x
                     position[landed, 1] = surface.point.y
@@ -233,7 +207,7 @@ def emit(
     pool : the chunks run here; their order, hence the map, does not depend on the number of threads.
     scratch : gives the calling thread its memory.
     """
-    if len(scene.emitters.strength) == 0:
+    if len(scene.emitters.kind) == 0:
         return empty(radius)
     emitted = max(1, math.ceil(count * scene.emitters.share)) if rule.aimed else count
     photons_key = stream(stream(key, _STREAM), index)

@@ -322,7 +322,7 @@ def _roulette(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 
 def _lights(scene: Scene, variant: Variant, chain: Chain) -> str | None:
-    count = len(emitters_of(scene).strength)
+    count = len(emitters_of(scene).kind)
     few_or_too_many = not FEW_EMITTERS < count <= MANY_EMITTERS
     if few_or_too_many or not _samples_lights(variant, chain) or skipped(scene, variant.term):
         return None

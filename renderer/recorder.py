@@ -116,7 +116,7 @@ class Recorder:
         """Which light."""
         self._probability = picked[1]
 
-    def _pick_by_light(self, given: Any, picked: Any, caller: FrameType) -> None:
+    def pick_by_light(self, given: Any, picked: Any, caller: FrameType) -> None:
         """Which light, chosen by what each may send."""
         self._probability = picked[1]
 
@@ -125,13 +125,13 @@ class Recorder:
         irradiance, direction, target = sampled
         emitters, probability = self.scene.emitters, self._probability
         self._probability = 1.0
-        if len(emitters.strength) == 0:
+        if len(emitters.kind) == 0:
             return
         pdf = None
         if target >= 0:
             square = dot(direction, direction)
             cosine = -dot(vec3(self.scene.geometry.normals, target), direction) / math.sqrt(square)
-            area = emitters.area[list(emitters.face).index(target)]
+            area = emitters.faces.area[list(emitters.faces.face).index(target)]
             pdf = probability * square / (area * cosine) if cosine > 0.0 else 0.0
         self.note("light", way=direction, probability=probability, pdf=pdf, unhidden=irradiance)
 
@@ -226,9 +226,9 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     ambient.sample_hemisphere,
     ambient.ambient_light,
     lights.pick,
-    lights._pick_by_light,
+    lights.pick_by_light,
     lights.sample_light,
-    lights.light_irradiance,
+    direct.light_irradiance,
     warp.square_to_cosine_hemisphere,
     specular.sample_variant,
     sobol.sample_1d,

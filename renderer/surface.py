@@ -7,12 +7,13 @@ travelled; rays that leave it skip this face (or its object, see `Scene.ignore`)
 import math
 from typing import NamedTuple
 
-from termwise.renderer.arrays import Geometry, SceneArrays
+from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry import paper, rays
 from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
 from termwise.renderer.geometry.packets import Group, hit_of, put_hit
 from termwise.renderer.jit import device
 from termwise.renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
+from termwise.renderer.triangles import Geometry, point_on_face
 from termwise.renderer.vector import Vec3, column, dot, entry, negate, normalize, put_column, sub, vec3
 
 
@@ -21,7 +22,8 @@ class Surface(NamedTuple):
 
     `normal` is the shading normal, turned towards the ray's origin; `side` is +1 where that origin is on the
     side that the face's own normal points to, else -1. With `Scene.normals` of the "face" the surface is taken as seen
-    from its front: `normal` is not turned, and `side` tells as before where the origin is.
+    from its front: `normal` is not turned, and `side` tells as before where the origin is. `b1`, `b2` are the weights
+    of the face's corners 1 and 2.
     """
 
     point: Vec3
@@ -30,18 +32,8 @@ class Surface(NamedTuple):
     face: int
     object: int
     side: float
-
-
-@device
-def point_on_face(geometry: Geometry, face: int, b1: float, b2: float) -> Vec3:
-    """Point with barycentric weights b1, b2 of the corners 1 and 2."""
-    b0 = 1.0 - b1 - b2
-    c = geometry.corners
-    return Vec3(
-        b0 * c[face, 0, 0] + b1 * c[face, 1, 0] + b2 * c[face, 2, 0],
-        b0 * c[face, 0, 1] + b1 * c[face, 1, 1] + b2 * c[face, 2, 1],
-        b0 * c[face, 0, 2] + b1 * c[face, 1, 2] + b2 * c[face, 2, 2],
-    )
+    b1: float
+    b2: float
 
 
 @device
@@ -90,13 +82,13 @@ def _surface(scene: SceneArrays, hit: Hit, origin: Vec3, direction: Vec3) -> Sur
     geometry = scene.geometry
     wo = negate(direction)
     if hit.face < 0:
-        return Surface(origin, wo, wo, -1, -1, 1.0)
+        return Surface(origin, wo, wo, -1, -1, 1.0, 0.0, 0.0)
     normal = _shading_normal(geometry, hit.face, hit.b1, hit.b2)
     if scene.face_forward and dot(normal, wo) < 0.0:
         normal = negate(normal)
     side = 1.0 if dot(vec3(geometry.normals, hit.face), wo) >= 0.0 else -1.0
     point = point_on_face(geometry, hit.face, hit.b1, hit.b2)
-    return Surface(point, normal, wo, hit.face, entry(geometry.object, hit.face), side)
+    return Surface(point, normal, wo, hit.face, entry(geometry.object, hit.face), side, hit.b1, hit.b2)
 
 
 @device

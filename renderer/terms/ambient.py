@@ -21,6 +21,7 @@ from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.film import item_of, most_of, samples_of, see, settle, sights_of_row
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
+from termwise.renderer.material import diffuse_weight, sees_all_ambient, whole_color
 from termwise.renderer.photon_map import PhotonMap
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sobol import Sampler, sample_2d
@@ -76,14 +77,13 @@ def ambient_reach(scene: SceneArrays, rule: int) -> float:
 @device
 def ambient_light(scene: SceneArrays, rule: int, surface: Surface, dark: bool) -> tuple[Vec3, bool]:
     """Ambient radiance of a surface that nothing hides, and whether rays have to ask; `dark`: by the paper's rule."""
-    share = scene.materials.color if dark else scene.materials.diffuse
-    radiance = mul(vec3(share, surface.object), scene.ambient)
+    share = whole_color(scene, surface) if dark else diffuse_weight(scene, surface)
+    radiance = mul(share, scene.ambient)
     if scene.skips.diffuse and is_black(radiance):
         return radiance, False
     if scene.skips.occlusion and ambient_reach(scene, rule) == 0.0:
         return radiance, False
-    front = surface.side > 0.0 or not scene.face_forward
-    return radiance, rule != COSINE or not scene.materials.open[surface.object, 0 if front else 1]
+    return radiance, rule != COSINE or not sees_all_ambient(scene, surface)
 
 
 @device

@@ -9,12 +9,13 @@ from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.film import accumulate, item_of, see, sights_of_row
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import kernel
+from termwise.renderer.material import emission
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sky import sky_radiance
 from termwise.renderer.surface import surface_of
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
-from termwise.renderer.vector import column, vec3
+from termwise.renderer.vector import column
 from termwise.scenes.limits import Limit
 
 
@@ -32,7 +33,9 @@ def _seen(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
                         direction = column(scratch.sights.directions, i)
                         accumulate(out, y, scratch.x[i], sky_radiance(scene.sky, origin, direction))
                     elif scene.draw_lights and surface.side > 0.0:
-                        accumulate(out, y, scratch.x[i], vec3(scene.materials.emission, surface.object))
+                        accumulate(
+                            out, y, scratch.x[i], emission(scene, surface.face, surface.b1, surface.b2)
+                        )
 
 
 VARIANTS = (

@@ -14,14 +14,15 @@ from termwise.renderer.film import accumulate, item_of, sampler_of, see, settle,
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
-from termwise.renderer.lights import light_irradiance, sample_light
+from termwise.renderer.lights import sample_light
+from termwise.renderer.material import diffuse_weight
 from termwise.renderer.photon_map import PhotonMap, estimate_irradiance
 from termwise.renderer.photon_search import nearest_irradiance
 from termwise.renderer.photon_tracing import MAX_SURVIVAL
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
-from termwise.renderer.surface import Surface, put_occlusion_ray, shadowed, surface_of, trace
+from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of, trace
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
 from termwise.renderer.vector import (
@@ -35,7 +36,6 @@ from termwise.renderer.vector import (
     put,
     scale,
     to_world,
-    vec3,
 )
 from termwise.renderer.warp import INV_PI, square_to_cosine_hemisphere
 from termwise.scenes import limits
@@ -49,6 +49,20 @@ _PATH = 64  # keys of a path's vertices: beyond the pairs above
 
 
 @device
+def light_irradiance(
+    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch
+) -> Vec3:
+    """E / pi at a surface, one sample; uses the pair `dimension`."""
+    u, v = sample_2d(sampler, dimension)
+    irradiance, direction, target = sample_light(scene, surface, u, v)
+    if scene.skips.horizon and is_black(irradiance):
+        return irradiance
+    if occluded(scene, surface, direction, 1.0, target, scratch):
+        return Vec3(0.0, 0.0, 0.0)
+    return irradiance
+
+
+@device
 def direct_next_event(
     scene: SceneArrays, photons: PhotonMap, surface: Surface, sampler: Sampler, scratch: Scratch
 ) -> Vec3:
@@ -56,7 +70,7 @@ def direct_next_event(
 
     With an empty map: E of the first hit, unbiased.
     """
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     if scene.skips.diffuse and is_black(weight):
         return weight
     straight = light_irradiance(scene, surface, sampler, LIGHT, scratch)
@@ -66,7 +80,7 @@ def direct_next_event(
 @device
 def _reflected(scene: SceneArrays, surface: Surface, straight: Vec3, scattered: Vec3) -> Vec3:
     """Radiance by E / pi that arrives straight, and by E that was scattered."""
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     return scale(mul(weight, mad(scattered, INV_PI, straight)), scene.irradiance_factor)
 
 
@@ -76,7 +90,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
 
     A path of throughput t goes on with probability t / FAINT, at most MAX_SURVIVAL, and is divided by it.
     """
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     if scene.skips.diffuse and is_black(weight):
         return weight
     throughput = Vec3(1.0, 1.0, 1.0)
@@ -89,7 +103,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
         surface = trace(scene, make_ray(surface.point, direction), surface.face, scratch)
         if surface.face < 0:
             break
-        throughput = mul(throughput, vec3(scene.materials.diffuse, surface.object))
+        throughput = mul(throughput, diffuse_weight(scene, surface))
         survival = min(MAX_SURVIVAL, max_component(throughput) / FAINT)
         if sample_1d(sampler, ROULETTE) >= survival:
             break
@@ -110,7 +124,7 @@ def direct_nearest(
     scratch: Scratch,
 ) -> Vec3:
     """`factor` times the paper's estimate by the k nearest photons; k is the length of the scratch arrays."""
-    weight = vec3(scene.materials.diffuse, surface.object)
+    weight = diffuse_weight(scene, surface)
     if scene.skips.diffuse and is_black(weight):
         return weight
     scratch.counts[DENSITY_ESTIMATES] += 1
@@ -122,9 +136,9 @@ def direct_nearest(
 def _aim(scene: SceneArrays, count: int, scratch: Scratch) -> None:
     """Draw the points of the light samples of the first `count` sights: the k-th of sight i is point `8 k + i`.
 
-    In a loop of its own, which is vectorised. A point light alone leaves nothing to draw.
+    In a loop of its own, which is vectorised.
     """
-    if len(scene.emitters.strength) == len(scene.emitters.point) == 1:
+    if not scene.emitters.drawn:
         return
     for k in range(scene.light_samples):
         for i in range(count):
@@ -155,9 +169,7 @@ def _next_event(
                     surface = surface_of(scene, scratch.sights, i)
                     if (
                         surface.face >= 0
-                        and not (
-                            scene.skips.diffuse and is_black(vec3(scene.materials.diffuse, surface.object))
-                        )
+                        and not (scene.skips.diffuse and is_black(diffuse_weight(scene, surface)))
                         and not shadowed(scene, surface, scratch)
                     ):
                         scattered = estimate_irradiance(scene, photons, surface, scratch)
@@ -212,7 +224,7 @@ def _photon_map(
                 for i in range(count):
                     surface = surface_of(scene, scratch.sights, i)
                     if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        weight = vec3(scene.materials.diffuse, surface.object)
+                        weight = diffuse_weight(scene, surface)
                         if not (scene.skips.diffuse and is_black(weight)):
                             irradiance = estimate_irradiance(scene, photons, surface, scratch)
                             radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)

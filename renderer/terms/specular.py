@@ -28,6 +28,7 @@ from termwise.renderer.film import accumulate, item_of, sampler_of, see, sights_
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
+from termwise.renderer.material import lobe_alpha, lobe_f0, specular_weight
 from termwise.renderer.microfacet import eval_dfg, sample_lobe
 from termwise.renderer.photon_map import PhotonMap
 from termwise.renderer.rng import fold
@@ -51,7 +52,6 @@ from termwise.renderer.vector import (
     scale,
     to_local,
     to_world,
-    vec3,
 )
 from termwise.renderer.warp import hemisphere_ring, ring_cosine
 from termwise.scenes.limits import Limit
@@ -143,17 +143,14 @@ def _chain(
                     bounce = 0
                     while surface.face >= 0 and bounce < scene.max_bounces:
                         bounce += 1
-                        material = surface.object
-                        gloss = scene.materials.specular[material]
+                        gloss = specular_weight(scene, surface)
                         if gloss == 0.0 or shadowed(scene, surface, scratch):
                             break
                         local = frame(surface.normal)
                         wo = to_local(local, surface.wo)
                         u, v = sample_2d(sampler, LOBE)
-                        f0 = vec3(scene.materials.f0, material)
-                        wi, weight = sample_variant(
-                            lobe, scene.rings, wo, scene.materials.alpha[material], f0, u, v
-                        )
+                        alpha, f0 = lobe_alpha(scene, surface), lobe_f0(scene, surface)
+                        wi, weight = sample_variant(lobe, scene.rings, wo, alpha, f0, u, v)
                         throughput = scale(mul(throughput, weight), gloss)
                         if scene.skips.throughput and is_black(throughput):
                             break

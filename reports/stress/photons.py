@@ -53,7 +53,7 @@ def _scene(*objects: Object) -> SceneArrays:
 
 
 def _at(x: float, y: float, z: float = 0.0, *, face: int = 0, thing: int = 0, normal: Vec3 = _UP) -> Surface:
-    return Surface(Vec3(x, y, z), normal, normal, face, thing, 1.0)
+    return Surface(Vec3(x, y, z), normal, normal, face, thing, 1.0, 0.0, 0.0)
 
 
 def _map(xy: np.ndarray, power: float, radius: float, z: float = 0.0) -> PhotonMap:

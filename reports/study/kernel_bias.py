@@ -19,8 +19,8 @@ import trimesh.triangles
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from termwise.renderer.arrays import Geometry
 from termwise.renderer.film import GeometryImages
+from termwise.renderer.triangles import Geometry
 from termwise.reports.statistics.convergence import relative_error
 from termwise.reports.statistics.jackknife import Estimate
 from termwise.scenes.model import Scene

@@ -52,7 +52,9 @@ BACKGROUND = Case("two_cubes", "background", "seen", samples=32)
 _AMBIENT = "renderer/terms/ambient.py"
 _DIRECT = "renderer/terms/direct.py"
 _SPECULAR = "renderer/terms/specular.py"
-_LIGHTS = "renderer/lights.py"
+_LIGHTS = "renderer/lights/__init__.py"
+_FACE = "renderer/lights/face.py"
+_ARRIVING = "renderer/lights/arriving.py"
 _LOBE = "renderer/microfacet.py"
 _TRACING = "renderer/photon_tracing.py"
 _TILES = "renderer/tiles.py"
@@ -91,37 +93,37 @@ PLANTS = (
     Plant(
         "direct: cosine twice",
         DIRECT,
-        _LIGHTS,
+        _ARRIVING,
         "strength *= cos_surface / (square * math.sqrt(square))",
         "strength *= cos_surface * cos_surface / (square * square)",
     ),
     Plant(
         "direct: cosine forgotten",
         DIRECT,
-        _LIGHTS,
+        _ARRIVING,
         "strength *= cos_surface / (square * math.sqrt(square))",
         "strength *= 1.0 / square",
     ),
     Plant(
         "direct: the light's cosine forgotten",
         DIRECT,
-        _LIGHTS,
+        _FACE,
         "* cos_light / (length(direction) * probability)",
         "/ probability",
     ),
     Plant(
         "direct: the light's area twice",
         DIRECT,
-        _LIGHTS,
-        "INV_PI * emitters.area[index - points] * cos_light",
-        "INV_PI * 2.0 * emitters.area[index - points] * cos_light",
+        _FACE,
+        "INV_PI * faces.area[row] * cos_light",
+        "INV_PI * 2.0 * faces.area[row] * cos_light",
     ),
     Plant(
         "direct: 1/pi lost",
         DIRECT,
-        _LIGHTS,
-        "INV_PI * emitters.area[index - points] * cos_light",
-        "emitters.area[index - points] * cos_light",
+        _FACE,
+        "INV_PI * faces.area[row] * cos_light",
+        "faces.area[row] * cos_light",
     ),
     Plant(
         "light picked with the wrong probability",
@@ -133,7 +135,7 @@ PLANTS = (
     Plant(
         "direct: distance clamped inside the pdf",
         DIRECT,
-        _LIGHTS,
+        _ARRIVING,
         "    square = dot(direction, direction)\n    strength",
         "    square = max(25.0, dot(direction, direction))\n    strength",
     ),
@@ -162,7 +164,7 @@ PLANTS = (
         "path: albedo of the vertex before",
         PATH,
         _DIRECT,
-        "throughput = mul(throughput, vec3(scene.materials.diffuse, surface.object))",
+        "throughput = mul(throughput, diffuse_weight(scene, surface))",
         "throughput = mul(throughput, weight)",
     ),
     Plant(
@@ -175,9 +177,9 @@ PLANTS = (
     Plant(
         "photons: wrong power",
         PHOTON_MAP,
-        _TRACING,
-        "scale(radiance, math.pi * emitters.area[index - points] / probability)",
-        "scale(radiance, 2.0 * math.pi * emitters.area[index - points] / probability)",
+        _FACE,
+        "scale(radiance, math.pi * faces.area[row] / probability)",
+        "scale(radiance, 2.0 * math.pi * faces.area[row] / probability)",
     ),
     Plant(
         "photons: power shared by those that land",

@@ -49,7 +49,7 @@ def at_centre(scene, xy: np.ndarray, radius: float) -> float:
     position = np.column_stack([xy, np.zeros(len(xy))])
     face = np.where(xy[:, 0] >= xy[:, 1], 0, 1).astype(np.int32)
     photons = build(position, np.tile(UP, (len(xy), 1)), np.full((len(xy), 3), FLUX / len(xy)), face, radius)
-    point = Surface(Vec3(float(CENTRE[0]), float(CENTRE[1]), 0.0), UP, UP, 0, 0, 1.0)
+    point = Surface(Vec3(float(CENTRE[0]), float(CENTRE[1]), 0.0), UP, UP, 0, 0, 1.0, 0.0, 0.0)
     return estimate_irradiance(scene, photons, point, SCRATCH).x
 
 
@@ -157,7 +157,9 @@ def test_both_sides_make_the_same_of_the_same_photons(shape):
     for i, expected in enumerate(theirs):
         normal = Vec3(*(side[i] * g.normals[query[i]]).tolist())
         point = Vec3(*points[i].tolist())
-        surface = Surface(point, normal, normal, int(query[i]), int(g.object[query[i]]), float(side[i]))
+        surface = Surface(
+            point, normal, normal, int(query[i]), int(g.object[query[i]]), float(side[i]), 0.0, 0.0
+        )
         found = estimate_irradiance(scene, photons, surface, SCRATCH)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * theirs.mean())
     assert (theirs > 0).any(axis=1).sum() > 50

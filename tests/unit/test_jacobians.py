@@ -15,8 +15,8 @@ import pytest
 
 from termwise.renderer.arrays import from_scene
 from termwise.renderer.microfacet import beckmann_d, pdf_lobe, sample_lobe, sample_visible_normal, smith_g1
-from termwise.renderer.surface import point_on_face
 from termwise.renderer.terms.specular import UNIFORM, sample_variant
+from termwise.renderer.triangles import point_on_face
 from termwise.renderer.vector import Vec3
 from termwise.renderer.warp import (
     hemisphere_ring,

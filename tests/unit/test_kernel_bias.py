@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from termwise.renderer.arrays import Geometry, from_scene
+from termwise.renderer.arrays import from_scene
+from termwise.renderer.triangles import Geometry
 from termwise.reports.statistics.convergence import relative_error
 from termwise.reports.study import kernel_bias
 from termwise.scenes.analytic import plate

@@ -13,7 +13,7 @@ import trimesh
 
 from termwise.renderer import Engine, find
 from termwise.renderer.arrays import MANY_EMITTERS, from_scene
-from termwise.renderer.lights import _bound, _pick_by_light, pick
+from termwise.renderer.lights import bound, pick, pick_by_light
 from termwise.renderer.plan import ECONOMIES
 from termwise.renderer.surface import Surface
 from termwise.renderer.vector import Vec3
@@ -83,7 +83,7 @@ def test_lamps_keep_their_mean(compiled):
 def surface_at(x: float, y: float) -> Surface:
     """A point of the floor, seen from above."""
     up = Vec3(0.0, 0.0, 1.0)
-    return Surface(Vec3(x, y, 0.0), up, up, 0, 0, 1.0)
+    return Surface(Vec3(x, y, 0.0), up, up, 0, 0, 1.0, 0.0, 0.0)
 
 
 def test_no_emitter_that_lights_a_point_is_left_out(compiled):
@@ -105,13 +105,13 @@ def test_no_emitter_that_lights_a_point_is_left_out(compiled):
     useful = 0
     for x, y in rng.uniform(5, 8, (20 if compiled else 4, 2)):
         surface = surface_at(x, y)
-        for index, face in enumerate(arrays.emitters.face):
+        for index, face in enumerate(arrays.emitters.faces.face):
             corners = arrays.geometry.corners[face]
             way = weights @ corners - np.array(surface.point)
             lit = (way @ np.array(surface.normal) > 1e-9) & (way @ arrays.geometry.normals[face] < -1e-9)
             if lit.any():
                 useful += 1
-                assert _bound(arrays, surface, index) > 0.0
+                assert bound(arrays, surface, index) > 0.0
     assert useful > 100 if compiled else useful > 5
 
 
@@ -121,9 +121,9 @@ def test_probabilities_are_those_of_the_choice(compiled):
     arrays = from_scene(scene)
     surface = surface_at(0.3, -0.2)
     count = 20_000 if compiled else 500
-    picks = [_pick_by_light(arrays, surface, (i + 0.5) / count) for i in range(count)]
+    picks = [pick_by_light(arrays, surface, (i + 0.5) / count) for i in range(count)]
     found = np.bincount([index for index, _, _ in picks], minlength=9) / count
-    bounds = np.array([_bound(arrays, surface, index) for index in range(9)])
+    bounds = np.array([bound(arrays, surface, index) for index in range(9)])
     np.testing.assert_allclose(found, bounds / bounds.sum(), atol=2 / count)
     for index, probability, _ in picks[:: count // 50]:
         assert probability == pytest.approx(bounds[index] / bounds.sum(), rel=1e-12)
@@ -137,7 +137,7 @@ def test_what_the_pick_leaves_is_spread_evenly(by_light, compiled):
     count = 20_000 if compiled else 2000
     us = [(i + 0.5) / count for i in range(count)]
     picks = [
-        _pick_by_light(arrays, surface_at(0.3, -0.2), u) if by_light else pick(arrays.emitters.cdf, u)
+        pick_by_light(arrays, surface_at(0.3, -0.2), u) if by_light else pick(arrays.emitters.cdf, u)
         for u in us
     ]
     for index in {index for index, _, _ in picks}:
@@ -166,7 +166,7 @@ def test_a_lamp_of_two_triangles_is_one_rectangle(compiled):
 def test_a_point_that_nothing_lights(compiled):
     scene = scene_of(tuple(PointLight((0.0, 0.0, -1.0 - i), (1.0, 1.0, 1.0)) for i in range(4)))
     arrays = from_scene(scene)
-    assert _pick_by_light(arrays, surface_at(0.0, 0.0), 0.5)[1] == 0.0
+    assert pick_by_light(arrays, surface_at(0.0, 0.0), 0.5)[1] == 0.0
     assert not replicates(scene, (), 1, 2).any()
 
 

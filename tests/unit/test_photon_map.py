@@ -46,7 +46,7 @@ def unit_plate(name: str = "plate", z: float = 0.0) -> Object:
 
 
 def at(point, normal=UP, face: int = 0, thing: int = 0, side: float = 1.0) -> Surface:
-    return Surface(vec(point), vec(normal), vec(normal), face, thing, side)
+    return Surface(vec(point), vec(normal), vec(normal), face, thing, side, 0.0, 0.0)
 
 
 SHAPES = ("uniform", "epanechnikov", "simpson")
@@ -113,7 +113,8 @@ def random_query(scene: SceneArrays, rng: np.random.Generator) -> Surface:
     side = float(rng.choice([-1.0, 1.0]))
     normal = side * (b @ g.shading[face])
     normal /= np.linalg.norm(normal)
-    return Surface(vec(b @ g.corners[face]), vec(normal), vec(normal), face, int(g.object[face]), side)
+    point = vec(b @ g.corners[face])
+    return Surface(point, vec(normal), vec(normal), face, int(g.object[face]), side, float(b[1]), float(b[2]))
 
 
 @pytest.mark.parametrize("shape", SHAPES)

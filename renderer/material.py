@@ -1,0 +1,102 @@
+"""What a surface does to light, the weights of `color (1 - gloss) / pi + gloss f`, where a ray has met it.
+
+The only reader of `SceneArrays.materials`. A reader is given the place, face and barycentrics, and not the object: what
+varies over a surface is a matter of this file alone. Each reads no more than its caller asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from termwise.renderer.jit import device
+from termwise.renderer.openness import open_sides
+from termwise.renderer.vector import Vec3, vec3
+from termwise.scenes.model import Scene
+
+if TYPE_CHECKING:  # they hold what is defined here
+    from termwise.renderer.arrays import SceneArrays
+    from termwise.renderer.surface import Surface
+
+
+class Materials(NamedTuple):
+    """What surfaces of each object do to light; emitters are black.
+
+    Attributes
+    ----------
+    color : (O, 3).
+    diffuse : (O, 3), color (1 - gloss).
+    specular : (O,), gloss.
+    alpha : (O,), Beckmann roughness.
+    f0 : (O, 3), Schlick's reflectance at normal incidence.
+    emission : (O, 3), radiance of the front side.
+    open : (O, 2) bool, whether nothing can lie within the ambient range of the object's front, and of its back.
+    """
+
+    color: np.ndarray
+    diffuse: np.ndarray
+    specular: np.ndarray
+    alpha: np.ndarray
+    f0: np.ndarray
+    emission: np.ndarray
+    open: np.ndarray
+
+
+def from_scene(scene: Scene, without: Collection[str]) -> Materials:
+    """The materials of a scene's objects; `without`: see `arrays.from_scene`."""
+    surfaces = [thing.surface for thing in scene.objects]
+    lit = scene.toggles.lighting
+    return Materials(
+        np.array([surface.color for surface in surfaces]).reshape(-1, 3),
+        np.array([scene.diffuse_weight(surface) for surface in surfaces]).reshape(-1, 3),
+        np.array([scene.specular_weight(surface) for surface in surfaces]).reshape(-1),
+        np.array([surface.roughness for surface in surfaces]).reshape(-1),
+        np.array([surface.f0 for surface in surfaces]).reshape(-1, 3),
+        np.array([thing.emission if lit else (0.0, 0.0, 0.0) for thing in scene.objects]).reshape(-1, 3),
+        np.zeros((len(surfaces), 2), np.bool_) if "open" in without else open_sides(scene),
+    )
+
+
+@device
+def whole_color(scene: SceneArrays, surface: Surface) -> Vec3:
+    """Color, whatever the gloss: the weight of the ambient light in the paper's shadow."""
+    return vec3(scene.materials.color, surface.object)
+
+
+@device
+def diffuse_weight(scene: SceneArrays, surface: Surface) -> Vec3:
+    """Weight of the diffuse lobe, its albedo."""
+    return vec3(scene.materials.diffuse, surface.object)
+
+
+@device
+def specular_weight(scene: SceneArrays, surface: Surface) -> float:
+    """Weight of the Cook-Torrance lobe."""
+    return scene.materials.specular[surface.object]
+
+
+@device
+def lobe_alpha(scene: SceneArrays, surface: Surface) -> float:
+    """Beckmann roughness of the lobe."""
+    return scene.materials.alpha[surface.object]
+
+
+@device
+def lobe_f0(scene: SceneArrays, surface: Surface) -> Vec3:
+    """Reflectance of the lobe's microfacets at normal incidence."""
+    return vec3(scene.materials.f0, surface.object)
+
+
+@device
+def emission(scene: SceneArrays, face: int, b1: float, b2: float) -> Vec3:
+    """Radiance of the front of a face at a point of it, which need not be one that a ray has met."""
+    return vec3(scene.materials.emission, scene.geometry.object[face])
+
+
+@device
+def sees_all_ambient(scene: SceneArrays, surface: Surface) -> bool:
+    """Whether nothing can lie within the ambient range of the side that is seen."""
+    front = surface.side > 0.0 or not scene.face_forward
+    return scene.materials.open[surface.object, 0 if front else 1]

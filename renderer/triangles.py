@@ -1,0 +1,79 @@
+"""Triangles of all objects in one list; a point on one is `x = (1 - b1 - b2) v0 + b1 v1 + b2 v2`."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from termwise.renderer.geometry import bvh
+from termwise.renderer.geometry.bvh import Tree
+from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3
+from termwise.scenes.model import Scene
+
+
+class Geometry(NamedTuple):
+    """What the kernels know of the triangles.
+
+    Attributes
+    ----------
+    corners : (F, 3, 3), vertex positions.
+    normals : (F, 3), unit geometric normals, zero for a face without area.
+    shading : (F, 3, 3), unit normals at the corners; the geometric one where shading is flat.
+    smooth : (F,) bool, whether `shading` is interpolated.
+    object : (F,) index of the object.
+    first : (O + 1,) first face of each object, and the number of faces.
+    tree : the hierarchy over the faces.
+    """
+
+    corners: np.ndarray
+    normals: np.ndarray
+    shading: np.ndarray
+    smooth: np.ndarray
+    object: np.ndarray
+    first: np.ndarray
+    tree: Tree
+
+
+def from_scene(scene: Scene) -> Geometry:
+    """The triangles of a scene and their tree."""
+    corners, shading, smooth, owner = [], [], [], []
+    for index, thing in enumerate(scene.objects):
+        mesh = thing.mesh
+        corners.append(mesh.vertices[mesh.faces])
+        is_smooth = mesh.normals is not None
+        shading.append(mesh.normals[mesh.faces] if mesh.normals is not None else np.zeros_like(corners[-1]))
+        smooth.append(np.full(len(mesh.faces), is_smooth))
+        owner.append(np.full(len(mesh.faces), index, np.int32))
+    if not corners:
+        empty = np.zeros((0, 3, 3))
+        none = np.zeros(0, np.int32)
+        first = np.zeros(1, np.int32)
+        return Geometry(empty, np.zeros((0, 3)), empty, none.astype(np.bool_), none, first, bvh.build(empty))
+    faces = np.ascontiguousarray(np.concatenate(corners))
+    area_normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    length = np.linalg.norm(area_normals, axis=1, keepdims=True)
+    normals = np.divide(area_normals, length, out=np.zeros_like(area_normals), where=length > 0)
+    shading_normals = np.ascontiguousarray(np.concatenate(shading))
+    is_smooth = np.concatenate(smooth)
+    shading_normals[~is_smooth] = normals[~is_smooth, None, :]
+    return Geometry(
+        corners=faces,
+        normals=normals,
+        shading=shading_normals,
+        smooth=is_smooth,
+        object=np.concatenate(owner).astype(np.int32),
+        first=np.cumsum([0, *map(len, owner)]).astype(np.int32),
+        tree=bvh.build(faces),
+    )
+
+
+@device
+def point_on_face(geometry: Geometry, face: int, b1: float, b2: float) -> Vec3:
+    """Point with barycentric weights b1, b2 of the corners 1 and 2."""
+    b0 = 1.0 - b1 - b2
+    c = geometry.corners
+    return Vec3(
+        b0 * c[face, 0, 0] + b1 * c[face, 1, 0] + b2 * c[face, 2, 0],
+        b0 * c[face, 0, 1] + b1 * c[face, 1, 1] + b2 * c[face, 2, 1],
+        b0 * c[face, 0, 2] + b1 * c[face, 1, 2] + b2 * c[face, 2, 2],
+    )
