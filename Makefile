@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane (each compiles kernels and renders) and of the audit: more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare variants view bench stress test audit lint format clean distclean
+.PHONY: help install compare variants view bench stress docs test audit lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -41,6 +41,10 @@ bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error,
 
 stress: .venv/.installed ## Exact properties under hostile input, beside the paper's code and Mitsuba; OUT=out
 	@.venv/bin/termwise stress --out $(OUT)
+
+docs: .venv/.installed ## Build the manual, without network, where any warning is an error; OUT=out
+	@.venv/bin/python -m sphinx -W --keep-going -q -d $(OUT)/.doctrees docs $(OUT)/docs
+	@echo "$(OUT)/docs/index.html"
 
 test: .venv/.installed ## Run the tests, then the unit tests again as plain Python
 	.venv/bin/python -m pytest -q -n $(JOBS)

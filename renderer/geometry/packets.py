@@ -70,10 +70,9 @@ from termwise.renderer.vector import column, entry
 SIZE = 8
 # Groups that are traced as bundles after a packet that did not pay, or was none; twice as many each time.
 PATIENCE, MOST_PATIENCE = 4, 256
-# Nodes, leaves and triangles that a packet may test: with more a bundle is faster (measured with 328 thousand).
+# Nodes, leaves and triangles that a packet may test: with more a bundle is faster.
 MUCH_WORK = 48
-# Triangles that a packet may test where they are few: first hits and ambient of four samples or one took 1.0 to 1.1
-# times as long with 8, as long with 16 and 48 (Cornell box, two_cubes).
+# Triangles that a packet may test where they are few.
 MUCH_OF_FEW = 24
 
 
