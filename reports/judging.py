@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import xarray
 
-from termwise.reports.results.images import write_exr, write_netcdf
+from termwise.reports.machine import versions
+from termwise.reports.results.exr import write_exr
+from termwise.reports.results.netcdf import write_netcdf
 from termwise.reports.results.schema import SCHEMA
-from termwise.reports.run import plain, versions
+from termwise.reports.run import plain
 from termwise.reports.statistics import tiles
 from termwise.reports.statistics.accumulation import measure
 from termwise.reports.statistics.replicates import CHANNELS

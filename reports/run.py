@@ -9,7 +9,6 @@ computes nothing.
 """
 
 import hashlib
-import importlib.metadata
 import json
 import math
 import os
@@ -29,10 +28,10 @@ from termwise.renderer import photon_map
 from termwise.renderer.plan import plan, skipped
 from termwise.renderer.terms import Chain, Variant, registered
 from termwise.renderer.tiles import Engine
-from termwise.reports.bench.common import processor
 from termwise.reports.jobs import cells
 from termwise.reports.jobs.cells import Cell
-from termwise.reports.results import images
+from termwise.reports.machine import processor, versions
+from termwise.reports.results import netcdf
 from termwise.reports.results import schema as stored
 from termwise.reports.statistics import (
     accumulation,
@@ -127,14 +126,6 @@ def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
     return hashlib.sha256(repr(settings).encode()).hexdigest()
 
 
-def versions() -> dict[str, str]:
-    """Versions of everything that makes numbers."""
-    packages = ("termwise", "numba", "numpy", "scipy", "scikit-image", "mitsuba", "drjit", "xarray")
-    return {"python": platform.python_version()} | {
-        name: importlib.metadata.version(name) for name in packages
-    }
-
-
 def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
     """The results in `folder` if they are this very run's and no scene failed; a ValueError says what is damaged."""
     if not (folder / "index.html").is_file() or not (folder / stored.NAME).is_file():
@@ -172,7 +163,7 @@ def measure(
     measured_subjects = list(subjects(study, scenes))
     chosen = backend.choose()
     extrapolations: list[dict[str, Any]] = []
-    pictures = images.Pictures(folder)
+    pictures = netcdf.Pictures(folder)
     known = list(exact.cases(study))
     takes = _Takes(study, report)
     takes.expect(
@@ -193,7 +184,7 @@ def measure(
         source = sources[scene_name] = _Source(takes, subject, sources.get(subject.unchanged.name))
         measured = source.measure()
         made, checked = source.groups(measured), source.audits()
-        sweeps = [images.sweep(cell) for cell in measured]
+        sweeps = [netcdf.sweep(cell) for cell in measured]
         pictures.write(subject, measured, sweeps, *source.images(), source.objects, versions())
         described[scene_name] = _describe(study, subject, measured)
         extrapolations.extend(_extrapolations(takes, subject, source.rendered))
@@ -560,7 +551,7 @@ class _Source:
         """Whether a later look took more replicates."""
         return bool(self._factors)
 
-    def extend(self) -> tuple[list[Cell], list[images.Sweep]]:
+    def extend(self) -> tuple[list[Cell], list[netcdf.Sweep]]:
         """All replicates that the looks took: the references, and the cells at their last prefix, with their sweeps."""
         scene, factors = self.subject.scene, self._factors
         limits_of = [limit for limit in self.rendered.rendered if limit in factors]
@@ -573,7 +564,7 @@ class _Source:
                 cell = self._cell(engine, variant, factors.get(variant, 1))
                 last = cell.images[:, -1:].copy()
                 measured.append(attrs.evolve(cell, images=last, samples=cell.samples[-1:]))
-                sweeps.append(images.sweep(cell))
+                sweeps.append(netcdf.sweep(cell))
         return measured, sweeps
 
     def images(self) -> tuple[dict[Limit, np.ndarray], dict[Term, np.ndarray]]:
