@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import xarray
 
-from termwise.reports.results.images import write_exr, write_netcdf
+from termwise.reports.machine import versions
+from termwise.reports.results.exr import write_exr
+from termwise.reports.results.netcdf import write_netcdf
 from termwise.reports.results.schema import SCHEMA, plain
-from termwise.reports.run import versions
 from termwise.reports.statistics import accumulation, replicates, rule, tiles
 from termwise.scenes.store import write_atomically
 from termwise.scenes.terms import TermImage

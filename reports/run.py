@@ -9,7 +9,6 @@ computes nothing.
 """
 
 import hashlib
-import importlib.metadata
 import json
 import os
 import platform
@@ -24,16 +23,16 @@ import attrs
 from termwise.reference import backend
 from termwise.renderer.fingerprint import Unknown
 from termwise.renderer.terms import find, registered
-from termwise.reports.bench.common import processor
-from termwise.reports.cli.progress import Report
 from termwise.reports.jobs.desk import Desk
 from termwise.reports.jobs.executors import Executor
-from termwise.reports.looks import Group, Source, exact_group, jobs, of_case
-from termwise.reports.results import images
+from termwise.reports.machine import processor, versions
+from termwise.reports.progress import Report
+from termwise.reports.results import netcdf
 from termwise.reports.results import schema as stored
-from termwise.reports.results.described import describe, work
-from termwise.reports.results.rows import decided, tests_of, tile_maps
 from termwise.reports.results.schema import plain
+from termwise.reports.rows.described import describe, work
+from termwise.reports.rows.looks import Group, Source, exact_group, jobs, of_case
+from termwise.reports.rows.measurement import decided, tests_of, tile_maps
 from termwise.reports.statistics import sequential, verdict
 from termwise.reports.study import audits, exact
 from termwise.reports.study.study import Study
@@ -72,14 +71,6 @@ def _fingerprint(term: str, name: str) -> str | int:
         return find(term, name).estimator.fingerprint()
     except Unknown:
         return time.time_ns()
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that makes numbers."""
-    packages = ("termwise", "numba", "numpy", "scipy", "scikit-image", "mitsuba", "drjit", "xarray")
-    return {"python": platform.python_version()} | {
-        name: importlib.metadata.version(name) for name in packages
-    }
 
 
 def finished(folder: Path, fingerprint: str) -> dict[str, Any] | None:
@@ -137,7 +128,7 @@ class _Run:
         self.study, self.scenes, self.desk = study, scenes, desk
         self.subjects = list(subjects(study, scenes))
         self.cases = list(exact.cases(study))
-        self.pictures = images.Pictures(folder)
+        self.pictures = netcdf.Pictures(folder)
         self.sources: dict[str, Source] = {}
         self.described: dict[str, Any] = {}
         self.groups: list[Group] = []
@@ -213,7 +204,7 @@ class _Run:
         source = Source(self.study, subject, self.desk, self.sources.get(subject.unchanged.name))
         measured = source.measure()
         made, checked = source.groups(measured), source.audits()
-        sweeps = [images.sweep(cell) for cell in measured]
+        sweeps = [netcdf.sweep(cell) for cell in measured]
         self.pictures.write(subject, measured, sweeps, *source.images(), source.objects, versions())
         found = source.extrapolations()
         self.sources[subject.scene.name] = source

@@ -5,10 +5,11 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from termwise.reports.machine import processor
 
 # Mitsuba's rays go through Embree in packets there; another variant would be no yardstick.
 BACKEND = "llvm_ad_rgb"
@@ -56,13 +57,3 @@ def machine(threads: int) -> dict[str, Any]:
         "load": os.getloadavg()[0],
         "versions": versions | {"python": platform.python_version()},
     }
-
-
-def processor() -> str:
-    """Its name, as the system has it."""
-    path = Path("/proc/cpuinfo")
-    if path.exists():
-        for line in path.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()

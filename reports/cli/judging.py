@@ -90,7 +90,7 @@ def _files(name: str, given: Sequence[Path]) -> list[Path]:
 
 
 def _read(path: Path, part: str | None) -> np.ndarray:
-    from termwise.reports.results.images import read_exr
+    from termwise.reports.results.exr import read_exr
 
     if not path.is_file():
         raise ValueError(f"{path}: no such file: allowed are OpenEXR images")

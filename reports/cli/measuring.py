@@ -7,9 +7,10 @@ from typing import Any
 
 from rich.table import Table
 
-from termwise.reports.cli import progress, terminal
-from termwise.reports.cli.progress import Report
+from termwise.reports import progress
+from termwise.reports.cli import terminal
 from termwise.reports.cli.terminal import Integer, Json, MaybeInteger, Names, Quiet
+from termwise.reports.progress import Report
 from termwise.scenes.store import write_atomically
 
 

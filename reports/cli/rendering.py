@@ -7,7 +7,8 @@ from typing import Any
 import attrs
 from rich.table import Table
 
-from termwise.reports.cli import progress, terminal
+from termwise.reports import progress
+from termwise.reports.cli import terminal
 from termwise.reports.cli.terminal import Flag, Integer, Json, MaybeInteger, Quiet, Resolution
 from termwise.scenes.load import library, load
 from termwise.scenes.terms import TERMS
@@ -195,7 +196,7 @@ def _write_images(
 ) -> int:
     """Write term images and their sum; report means and seconds."""
     from termwise.reports.pages.pictures import write_png
-    from termwise.reports.results.images import write_exr
+    from termwise.reports.results.exr import write_exr
     from termwise.scenes.terms import total
 
     parts = {term: image.mean for term, image in found.items()}

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 import attrs
 from cyclopts import Parameter
 
-from termwise.reports.cli import progress, terminal
+from termwise.reports import progress
+from termwise.reports.cli import terminal
 from termwise.reports.cli.terminal import Flag, Json, MaybeInteger, Quiet
 from termwise.scenes.strict import FileError
 

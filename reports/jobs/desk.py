@@ -3,6 +3,7 @@
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import attrs
 
@@ -12,13 +13,12 @@ from termwise.renderer.fingerprint import Unknown
 from termwise.renderer.plan import powers_of_two
 from termwise.renderer.terms import Chain, Variant, find
 from termwise.renderer.terms.estimator import sent
-from termwise.reports.cli.progress import Report, silent
 from termwise.reports.jobs import cells
 from termwise.reports.jobs.cells import Cell, Replicate
 from termwise.reports.jobs.executors import Executor, InThisProcess, Job
 from termwise.reports.jobs.references import ReferenceReplicate, reference_jobs
+from termwise.reports.progress import Report, silent
 from termwise.reports.statistics.sequential import Item, Ledger
-from termwise.reports.study.study import Study
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 
@@ -38,6 +38,17 @@ class Measured:
     swept: bool = True
 
 
+class Repeated(Protocol):
+    """What a study says of repetition: its seed, and the replicates of the first look on each side."""
+
+    @property
+    def seed(self) -> int: ...  # noqa: D102
+    @property
+    def replicates(self) -> int: ...  # noqa: D102
+    @property
+    def reference_replicates(self) -> int: ...  # noqa: D102
+
+
 class Desk:
     """Has jobs done by an executor.
 
@@ -55,7 +66,7 @@ class Desk:
     """
 
     def __init__(
-        self, study: Study, cache: Path, *, executor: Executor | None = None, report: Report = silent
+        self, study: Repeated, cache: Path, *, executor: Executor | None = None, report: Report = silent
     ) -> None:
         self.ledger = Ledger()
         self.failed: dict[str, Exception] = {}

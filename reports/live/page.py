@@ -30,7 +30,7 @@ from termwise.reports.live.state import CHAIN, History, State, Steps
 from termwise.reports.live.truth import Truth, TruthView
 from termwise.reports.pages.pictures import display
 from termwise.reports.pages.pictures import save as save_png
-from termwise.reports.results.images import write_exr
+from termwise.reports.results.exr import write_exr
 from termwise.scenes.load import library, load
 from termwise.scenes.save import save
 from termwise.scenes.terms import TERMS, TOTAL, Term

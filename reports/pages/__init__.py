@@ -19,9 +19,9 @@ import xarray
 from markupsafe import Markup, escape
 
 from termwise.renderer.terms import VARIANTS
-from termwise.reports.cli.progress import Report, silent
 from termwise.reports.pages import charts, digits, method, pictures, viewer
-from termwise.reports.results import microscope, provenance
+from termwise.reports.progress import Report, silent
+from termwise.reports.results import microscope, provenance, table
 from termwise.reports.results import schema as stored
 from termwise.reports.statistics import tiles, verdict
 from termwise.reports.statistics.replicates import TILE_SIDES
@@ -93,7 +93,7 @@ def write(run: Path, *, report: Report = silent) -> Path:
         shown[scene.name] = scene.draw(run)
         scene.look(run, results)
     copy_static(run)
-    provenance.write_csv(rows, run / "results.csv")
+    table.write_csv(rows, run / "results.csv")
 
     exact = _exact(rows)
     judged = [scene.row(*key, "own") for scene in every for key in scene.keys]

@@ -20,9 +20,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from termwise.reports.cli import progress
+from termwise.reports import progress
+from termwise.reports.machine import versions
 from termwise.reports.pages import copy_static, page_environment, render_page
-from termwise.reports.run import plain, versions
+from termwise.reports.run import plain
 from termwise.reports.statistics.verdict import LEVEL, POWER
 from termwise.scenes.store import write_atomically
 from tests.audit import faults, nulls

@@ -23,7 +23,8 @@ from scipy import stats
 
 from termwise.reports import pages as page
 from termwise.reports.pages import single
-from termwise.reports.results import images, microscope
+from termwise.reports.results import microscope
+from termwise.reports.results.exr import read_exr, write_exr
 
 SIZE = 24
 REPLICATES = 16
@@ -158,7 +159,7 @@ def run(tmp_path_factory) -> Path:
         parts = {f"{term}.{variant}": image for (term, variant), image in zip(CELLS, ours, strict=True)}
         parts |= {f"reference.{name}": image for name, image in zip(LIMITS, reference, strict=True)}
         (folder / "images").mkdir(exist_ok=True)
-        images.write_exr(folder / "images" / f"{scene}.exr", parts, {})
+        write_exr(folder / "images" / f"{scene}.exr", parts, {})
         described[scene] = {"resolution": [SIZE, SIZE], "exposure": 0.8, "scope": "all", "digest": "3f" * 32}
         described[scene]["plan"] = [
             {
@@ -279,7 +280,7 @@ def test_inspector_shows_the_values_of_the_exr(view, run, scene, cell, against):
     if limit < 0:
         return  # the viewer then offers no such reference, as tested below
     term, variant = CELLS[cell]
-    parts = images.read_exr(run / "images" / f"{scene}.exr")
+    parts = read_exr(run / "images" / f"{scene}.exr")
     with xarray.open_dataset(run / "results.nc", group=scene, engine="h5netcdf") as data:
         x, y = 7, 19
         ours, right = parts[f"{term}.{variant}"][y, x], parts[f"reference.{LIMITS[limit]}"][y, x]
@@ -320,14 +321,14 @@ def encoded(radiance, stops=0.0, gamma=None):
 def test_canvas_shows_the_radiance_at_exposure_and_gamma(view, run, stops, gamma):
     curve = f"&curve=gamma&gamma={gamma}" if gamma else ""
     page = view(f"#term=ambient&ev={stops}{curve}&beside=reference")
-    parts = images.read_exr(run / "images" / f"{SCENE}.exr")
+    parts = read_exr(run / "images" / f"{SCENE}.exr")
     for panel, part in (("left", "ambient.cosine"), ("right", "reference.ambient")):
         assert np.abs(middles(page, panel) - encoded(parts[part], stops, gamma)).max() <= 0.51
 
 
 def test_split_shows_ours_and_the_reference(view, run):
     page = view("#term=ambient&split=true&at=0.5")
-    parts = images.read_exr(run / "images" / f"{SCENE}.exr")
+    parts = read_exr(run / "images" / f"{SCENE}.exr")
     shown = middles(page, "left")
     half = SIZE // 2
     assert np.abs(shown[:, : half - 1] - encoded(parts["ambient.cosine"])[:, : half - 1]).max() <= 0.51
@@ -337,7 +338,7 @@ def test_split_shows_ours_and_the_reference(view, run):
 @pytest.mark.parametrize("map_", ["signed", "relative", "deviations"])
 def test_maps_are_blue_where_ours_is_darker_and_red_where_brighter(view, run, map_):
     page = view(f"#term=direct&beside={map_}")
-    parts = images.read_exr(run / "images" / f"{SCENE}.exr")
+    parts = read_exr(run / "images" / f"{SCENE}.exr")
     apart = parts["direct.next-event"].astype(float) - parts["reference.direct all"]
     if map_ == "deviations":
         with xarray.open_dataset(run / "results.nc", group=SCENE, engine="h5netcdf") as data:

@@ -23,7 +23,7 @@ from playwright.sync_api import expect
 
 from termwise.renderer import render_terms
 from termwise.reports.pages.pictures import display
-from termwise.reports.results.images import read_exr
+from termwise.reports.results.exr import read_exr
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TERMS, total

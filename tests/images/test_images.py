@@ -19,10 +19,11 @@ import pytest
 import xarray
 from PIL import Image
 
-from termwise.reports import looks, run
+from termwise.reports import run
 from termwise.reports.jobs import cells
 from termwise.reports.pages import p_maps, pictures
-from termwise.reports.results import images
+from termwise.reports.results.exr import read_exr, write_exr
+from termwise.reports.rows import looks
 from termwise.reports.statistics import metrics
 from termwise.reports.statistics.replicates import TILE_SIDES
 from termwise.reports.study import study, subjects
@@ -100,7 +101,7 @@ def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureR
         ours, reference = measured.images[scene, term]
         folder, exposure = FAILED / f"{scene}-{term}", load(scene).exposure
         for name, image in (("ours", ours), ("reference", reference), ("error", ours - reference)):
-            images.write_exr(folder / f"{name}.exr", {name: image}, {"software": "termwise", "scene": scene})
+            write_exr(folder / f"{name}.exr", {name: image}, {"software": "termwise", "scene": scene})
         pictures.write_png(folder / "ours.png", ours, exposure=exposure)
         pictures.write_png(folder / "reference.png", reference, exposure=exposure)
         cell, (height, width, _) = measured.cells[scene, term], ours.shape
@@ -113,7 +114,7 @@ def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureR
             each = [cell[f"tile_{name}_{side}"].values for name in ("p", "holm", "benjamini_hochberg")]
             pixels = np.stack(each, axis=-1).repeat(side, axis=0).repeat(side, axis=1)[:height, :width]
             header = {"software": "termwise", "scene": scene}
-            images.write_exr(folder / f"{term} p-map {side}.exr", {"p-map": pixels}, header)
+            write_exr(folder / f"{term} p-map {side}.exr", {"p-map": pixels}, header)
         signed, _ = pictures.relative_error(ours, reference)
         Image.fromarray(pictures.diverge(signed, scale=pictures.error_scale([signed]))).save(
             folder / "error.png"
@@ -256,8 +257,8 @@ def test_a_failure_leaves_its_images(
     names = "ours", "reference", "error", *(f"ambient p-map {side}" for side in TILE_SIDES)
     assert left == {f"{name}.{kind}" for name in names for kind in ("exr", "png")}
     cell = measured.cells["monkey", "ambient"]
-    (p,) = images.read_exr(tmp_path / "monkey-ambient" / "ambient p-map 16.exr").values()
+    (p,) = read_exr(tmp_path / "monkey-ambient" / "ambient p-map 16.exr").values()
     np.testing.assert_allclose(p[::16, ::16, 0], cell["tile_p_16"].values, rtol=1e-6)
-    (error,) = images.read_exr(tmp_path / "monkey-ambient" / "error.exr").values()
+    (error,) = read_exr(tmp_path / "monkey-ambient" / "error.exr").values()
     ours, reference = measured.images["monkey", "ambient"]
     np.testing.assert_allclose(error, ours - reference, atol=1e-6)

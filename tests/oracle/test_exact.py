@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from termwise.renderer.terms import VARIANTS
-from termwise.reports import looks
 from termwise.reports.jobs import cells
 from termwise.reports.jobs.desk import Desk
-from termwise.reports.results import rows
+from termwise.reports.rows import looks, measurement
 from termwise.reports.statistics import replicates
 from termwise.reports.study import exact, study
 from termwise.scenes.store import cache_folder
@@ -36,7 +35,9 @@ def decided(case: exact.Case) -> tuple[dict[str, Any], dict[str, Any]]:
     desk.run(desk.jobs(looks.of_case(case)))
     own, correct = looks.exact_group(case, desk).rows
     assert own.statistics
-    return rows.decided(own, own.statistics.tests, []), rows.decided(correct, own.statistics.tests, [])
+    return measurement.decided(own, own.statistics.tests, []), measurement.decided(
+        correct, own.statistics.tests, []
+    )
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.name} {case.variant.name}")

@@ -27,7 +27,7 @@ from termwise import renderer
 from termwise.renderer import VARIANTS
 from termwise.renderer.plan import skipped
 from termwise.reports import cli
-from termwise.reports.results.images import read_exr
+from termwise.reports.results.exr import read_exr
 from termwise.scenes.analytic import closed_box
 from termwise.scenes.load import library, load
 from termwise.scenes.model import Color, Mesh, Object, PointLight, Scene, Vector

@@ -24,7 +24,7 @@ from termwise import reference
 from termwise.renderer import Engine
 from termwise.reports import cli, run
 from termwise.reports.jobs import cells
-from termwise.reports.results.images import read_exr
+from termwise.reports.results.exr import read_exr
 from termwise.reports.study import study, subjects
 from termwise.scenes.store import ROOT, cache_folder
 from termwise.scenes.terms import TERMS

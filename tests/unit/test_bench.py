@@ -9,8 +9,8 @@ import pytest
 from termwise.reports import cli
 from termwise.reports.bench import common, curves, economies, scaling, terms, view
 from termwise.reports.bench.worker import Load
-from termwise.reports.cli.progress import silent
 from termwise.reports.pages import bench as page
+from termwise.reports.progress import silent
 from termwise.scenes.terms import TERMS
 
 MACHINE = {"processor": "a <fast> one", "cores": 2, "threads": 2, "load": 0.5, "versions": {"python": "3.11"}}

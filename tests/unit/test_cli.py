@@ -10,7 +10,7 @@ import OpenEXR
 import pytest
 
 from termwise.reports import cli
-from termwise.reports.results.images import read_exr, write_exr
+from termwise.reports.results.exr import read_exr, write_exr
 
 SCENE = """
 [camera]

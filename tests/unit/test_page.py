@@ -20,7 +20,7 @@ from termwise.renderer.terms import VARIANTS
 from termwise.reports import pages as page
 from termwise.reports.jobs import cells
 from termwise.reports.pages import charts, digits, method, pictures
-from termwise.reports.results import images
+from termwise.reports.results import netcdf
 from termwise.scenes.limits import Limit
 
 VERDICTS = ["EQUIVALENT", "BIASED", "AS PREDICTED", "NOT AS PREDICTED", "UNDERPOWERED", "ABSENT", None]
@@ -669,7 +669,7 @@ def test_a_sweep_is_of_tiles_of_8_pixels_and_smaller_ones_at_the_border():
         0.0,
         "",
     )
-    swept = images.sweep(cell)
+    swept = netcdf.sweep(cell)
     assert swept.samples == (1, 2)
     assert swept.mean.shape == swept.variance.shape == (2, 2, 3)
     for row, column in np.ndindex(2, 3):

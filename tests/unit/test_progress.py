@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from termwise.reports.cli import progress
+from termwise.reports import progress
 
 
 def shown(monkeypatch, *, terminal, quiet=False):

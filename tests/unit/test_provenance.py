@@ -7,7 +7,7 @@ import shlex
 import h5netcdf
 import pytest
 
-from termwise.reports.results import provenance
+from termwise.reports.results import provenance, table
 from termwise.reports.results import schema as stored
 
 
@@ -73,7 +73,7 @@ def test_the_table_is_rfc_4180(tmp_path):
         {"scene": "hall", "rmse": None, "seconds": 2.5},
     ]
     path = tmp_path / "results.csv"
-    provenance.write_csv(rows, path)
+    table.write_csv(rows, path)
     text = path.read_bytes().decode("utf-8")
     # CRLF ends each record; the feed within a quoted field stays what it was.
     assert text.count("\r\n") == text.endswith("\r\n") + 2

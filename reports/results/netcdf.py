@@ -1,28 +1,26 @@
-"""Images on disk: OpenEXR with named parts for viewers, NetCDF with named dimensions for analysis.
+"""Images for analysis: `results.nc`, a NetCDF with named dimensions, and the pictures of a run that go into it.
 
-An EXR holds one part per term image and reference, float32, linear Rec. 709, with its provenance in the header.
-`results.nc` has a group a scene: `image(cell, y, x, channel)` and `reference(limit, y, x, channel)`, means over
-replicates with the variance of the mean, for each cell the indices of its own, correct and physical limit, -1 where
-there is none, and the maps of its tiles, see `reports.statistics.tiles`. `object(y, x)` is what the pixels' centres
-see, and the luminance of its pieces (see `reports.results.microscope`) stands for each replicate, which pixels'
-variances cannot say. One replicate of each cell, the worst at its worst pixel, is there whole, in float64 as it was
-rendered: `rendered(cell, y, x, channel)` and its number `rendered_replicate(cell)`; NaN and -1 for the total and for
-estimators in Python.
+It has a group a scene: `image(cell, y, x, channel)` and `reference(limit, y, x, channel)`, means over replicates with
+the variance of the mean, for each cell the indices of its own, correct and physical limit, -1 where there is none, and
+the maps of its tiles, see `reports.statistics.tiles`. `object(y, x)` is what the pixels' centres see, and the luminance
+of its pieces (see `reports.results.microscope`) stands for each replicate, which pixels' variances cannot say. One
+replicate of each cell, the worst at its worst pixel, is there whole, in float64 as it was rendered:
+`rendered(cell, y, x, channel)` and its number `rendered_replicate(cell)`; NaN and -1 for the total and for estimators
+in Python.
 `sweep_luminance(cell, prefix, tile_y_8, tile_x_8)` is the mean over replicates after `sweep_samples(cell, prefix)`,
 with its variance; 0 samples and NaN where a cell has fewer prefixes, and for the total.
 """
 
-import errno
 import json
 from pathlib import Path
 
 import attrs
 import numpy as np
-import OpenEXR
 import xarray
 
 from termwise.reports.jobs.cells import Cell
 from termwise.reports.results import microscope
+from termwise.reports.results.exr import write_exr
 from termwise.reports.results.microscope import SIDE
 from termwise.reports.statistics.replicates import CHANNELS, LUMINANCE
 from termwise.reports.statistics.tiles import TileMap, variables
@@ -31,47 +29,6 @@ from termwise.scenes import limits
 from termwise.scenes.limits import Limit
 from termwise.scenes.store import write_atomically
 from termwise.scenes.terms import TERMS, TOTAL, Term, TermImage, total
-
-
-def write_exr(path: Path, parts: dict[str, np.ndarray], header: dict[str, str]) -> None:
-    """Write (H, W, 3) images as the named parts of one OpenEXR file; it appears whole or not at all."""
-    described = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
-    file = OpenEXR.File(
-        [
-            OpenEXR.Part(dict(described), {"RGB": np.ascontiguousarray(image, np.float32)}, name)
-            for name, image in parts.items()
-        ]
-    )
-
-    def write(temporary: Path) -> None:
-        try:
-            file.write(str(temporary))
-        except RuntimeError:  # OpenEXR's word for a full disk, with the temporary name in it
-            raise OSError(errno.EIO, "could not be written: is the disk full?", str(path)) from None
-
-    write_atomically(path, write)
-
-
-def read_exr(path: Path) -> dict[str, np.ndarray]:
-    """The RGB images of an OpenEXR file by part name, (H, W, 3) float32; a ValueError says what is wrong.
-
-    A file of one part without a name gives the key "".
-    """
-    try:
-        with OpenEXR.File(str(path)) as file:
-            found = {}
-            for part in file.parts:
-                channels = part.channels
-                name = part.name() if callable(part.name) else part.name
-                if "RGB" in channels or "RGBA" in channels:
-                    pixels = channels["RGB" if "RGB" in channels else "RGBA"].pixels
-                    found[name or ""] = np.asarray(pixels[..., :3], np.float32)
-    except Exception as error:  # OpenEXR raises RuntimeError, TypeError and KeyError alike
-        why = " ".join(str(error).split())
-        raise ValueError(f"{path}: is not an OpenEXR image ({why}): allowed are whole ones") from None
-    if not found:
-        raise ValueError(f"{path}: holds no RGB channels: allowed are OpenEXR images with R, G and B")
-    return found
 
 
 def limit_name(limit: Limit) -> str:
