@@ -107,47 +107,10 @@ class Pictures:
         versions: dict[str, str],
     ) -> None:
         """Write the EXR of a scene and keep its group of the dataset; `objects` are (H, W) indices."""
-        scene = subject.scene
-        ours = {
-            (cell.variant.term, cell.variant.name): _summary(cell.images[:, -1], cell.samples[-1])
-            for cell in measured
-        }
-        defaults = [next(c for c in measured if c.variant.term == term) for term in TERMS]
-        shared = min(len(cell.images) for cell in defaults)
-        summed = total(*(cell.images[:shared, -1] for cell in defaults))
-        ours[TOTAL, "default"] = _summary(summed, max(cell.samples[-1] for cell in defaults))
-        pieces = microscope.pieces(objects)
-        ours_of = [pieces.luminance(cell.images[:, -1]) for cell in measured] + [pieces.luminance(summed)]
-        truth = {limit_name(limit): _summary(stack, 0) for limit, stack in references.items()}
-        truth_of = [pieces.luminance(stack) for stack in references.values()]
-        own = [references[cell.own] for cell in defaults]
-        physical = [references.get(limits.physical(term)) for term in TERMS]
-        sums = {"total": own, "total physical": [stack for stack in physical if stack is not None]}
-        # The right terms of a changed scene are those of another.
-        prefix = "" if subject.base is None else "unchanged "
-        if subject.base is not None:
-            truth |= {
-                prefix + limit_name(subject.correct(term)): _summary(correct[term], 0) for term in TERMS
-            }
-            truth_of += [pieces.luminance(correct[term]) for term in TERMS]
-            sums["unchanged total"] = [correct[term] for term in TERMS]
-        for name, chosen in sums.items():
-            if chosen:
-                shared = min(len(stack) for stack in chosen)
-                added = total(*(stack[:shared] for stack in chosen))
-                truth[name] = _summary(added, 0)
-                truth_of.append(pieces.luminance(added))
-        names = {name: index for index, name in enumerate(truth)}
-        limits_of = [
-            (
-                limit_name(cell.own),
-                prefix + limit_name(subject.correct(cell.variant.term)),
-                limit_name(limits.physical(cell.variant.term)),
-            )
-            for cell in measured
-        ]
-        limits_of.append(("total", f"{prefix}total", "total physical"))
-        indices = np.array([[names.get(name, -1) for name in row] for row in limits_of])
+        scene, pieces = subject.scene, microscope.pieces(objects)
+        ours, ours_of = _ours(measured, pieces)
+        truth, truth_of = _truth(subject, measured, references, correct, pieces)
+        indices = _limits(subject, measured, list(truth))
         width, height = scene.resolution
         dataset = xarray.Dataset(
             {
@@ -181,13 +144,7 @@ class Pictures:
             },
             {"exposure": scene.exposure, "units": "linear Rec. 709 radiance", "digest": scene.digest()},
         )
-        for index, cell in enumerate(measured):
-            x, y = microscope.branch(dataset, cell.variant.term, cell.variant.name).pixel
-            replicate = microscope.worst_replicate(dataset, index, cell.images[:, -1, y, x], x, y)
-            rendered = cell.rendered(replicate)
-            if rendered is not None:
-                dataset["rendered"].values[index] = rendered
-                dataset["rendered_replicate"].values[index] = replicate
+        _add_rendered(dataset, measured)
         self.groups[scene.name] = dataset
         parts = {f"{term}.{variant}": each.mean for (term, variant), each in ours.items()}
         parts |= {f"reference.{name}": each.mean for name, each in truth.items()}
@@ -210,6 +167,82 @@ class Pictures:
         write_netcdf(
             self.folder / "results.nc", {f"/{name}": dataset for name, dataset in self.groups.items()}
         )
+
+
+def _ours(
+    measured: list[Cell], pieces: microscope.Pieces
+) -> tuple[dict[tuple[str, str], TermImage], list[np.ndarray]]:
+    """The image of each cell at its last prefix and of the total, and the luminance of their pieces."""
+    defaults = _defaults(measured)
+    shared = min(len(cell.images) for cell in defaults)
+    summed = total(*(cell.images[:shared, -1] for cell in defaults))
+    images = {
+        (cell.variant.term, cell.variant.name): _summary(cell.images[:, -1], cell.samples[-1])
+        for cell in measured
+    }
+    images[TOTAL, "default"] = _summary(summed, max(cell.samples[-1] for cell in defaults))
+    return images, [pieces.luminance(cell.images[:, -1]) for cell in measured] + [pieces.luminance(summed)]
+
+
+def _truth(
+    subject: Subject,
+    measured: list[Cell],
+    references: dict[Limit, np.ndarray],
+    correct: dict[Term, np.ndarray],
+    pieces: microscope.Pieces,
+) -> tuple[dict[str, TermImage], list[np.ndarray]]:
+    """The image of each limit and of their totals, by name, and the luminance of their pieces."""
+    stacks = {limit_name(limit): stack for limit, stack in references.items()}
+    own = [references[cell.own] for cell in _defaults(measured)]
+    physical = [references.get(limits.physical(term)) for term in TERMS]
+    sums = {"total": own, "total physical": [stack for stack in physical if stack is not None]}
+    if subject.base is not None:
+        stacks |= {_correct_name(subject, term): correct[term] for term in TERMS}
+        sums["unchanged total"] = [correct[term] for term in TERMS]
+    for name, chosen in sums.items():
+        if chosen:
+            shared = min(len(stack) for stack in chosen)
+            stacks[name] = total(*(stack[:shared] for stack in chosen))
+    images = {name: _summary(stack, 0) for name, stack in stacks.items()}
+    return images, [pieces.luminance(stack) for stack in stacks.values()]
+
+
+def _limits(subject: Subject, measured: list[Cell], names: list[str]) -> np.ndarray:
+    """Indices (cells, 3) of the own, correct and physical limit of each cell and of the total; -1 without one."""
+    of_cells = [
+        (
+            limit_name(cell.own),
+            _correct_name(subject, cell.variant.term),
+            limit_name(limits.physical(cell.variant.term)),
+        )
+        for cell in measured
+    ]
+    of_cells.append(("total", f"{_unchanged(subject)}total", "total physical"))
+    return np.array([[names.index(name) if name in names else -1 for name in row] for row in of_cells])
+
+
+def _unchanged(subject: Subject) -> str:
+    """Before the names of the right terms of a changed scene, which are those of another."""
+    return "" if subject.base is None else "unchanged "
+
+
+def _correct_name(subject: Subject, term: Term) -> str:
+    return _unchanged(subject) + limit_name(subject.correct(term))
+
+
+def _defaults(measured: list[Cell]) -> list[Cell]:
+    return [next(cell for cell in measured if cell.variant.term == term) for term in TERMS]
+
+
+def _add_rendered(dataset: xarray.Dataset, measured: list[Cell]) -> None:
+    """Put in the replicate of each cell that is the worst at its worst pixel, where it was kept."""
+    for index, cell in enumerate(measured):
+        x, y = microscope.branch(dataset, cell.variant.term, cell.variant.name).pixel
+        replicate = microscope.worst_replicate(dataset, index, cell.images[:, -1, y, x], x, y)
+        rendered = cell.rendered(replicate)
+        if rendered is not None:
+            dataset["rendered"].values[index] = rendered
+            dataset["rendered_replicate"].values[index] = replicate
 
 
 def write_netcdf(path: Path, groups: dict[str, xarray.Dataset]) -> None:
