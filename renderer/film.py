@@ -64,7 +64,7 @@ def most_of(last: int, split: int) -> int:
     return split if last > ALONE else 1
 
 
-class Hits(NamedTuple):
+class PrimaryHits(NamedTuple):
     """The group of sights at hand, and where it stands in the work.
 
     Work is (N, 7) int64, a row `(x0, y0, x1, y1, first, last, split)`: the samples [first, last) of a tile's pixels,
@@ -91,13 +91,15 @@ class Hits(NamedTuple):
 
 
 @device
-def no_hits() -> Hits:
+def no_hits() -> PrimaryHits:
     """What stands before the first group."""
-    return Hits(0, 0, True, 0, 0, 1, -1, 0, 0)
+    return PrimaryHits(0, 0, True, 0, 0, 1, -1, 0, 0)
 
 
 @device
-def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Hits, scratch: Scratch) -> Hits:
+def next_hits(
+    scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: PrimaryHits, scratch: Scratch
+) -> PrimaryHits:
     """Fill `scratch.sights` with the next 8 of the work, or what is left of a row, pixel by pixel.
 
     A sight is what one camera ray sees, for `split` samples. Those of one pixel, or of a few beside each other, go the
@@ -115,7 +117,7 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Hits, 
         while item < 0 or y >= work[item, 3] or first >= last:
             item += 1
             if item == len(work):
-                return Hits(0, y, True, first, last, split, item, x, index)
+                return PrimaryHits(0, y, True, first, last, split, item, x, index)
             y, first, last, split = work[item, 1], work[item, 4], work[item, 5], work[item, 6]
         x = work[item, 0]
         index, _ = sights_of(first, last, split)
@@ -143,7 +145,7 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Hits, 
     if index == end:
         x += 1
         index = begin
-    return Hits(count, y, x == x1, first, last, split, item, x, index)
+    return PrimaryHits(count, y, x == x1, first, last, split, item, x, index)
 
 
 @device
@@ -202,7 +204,7 @@ def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
 
 
 @device
-def settle(
+def resolve_occlusion(
     scene: SceneArrays,
     waiting: int,
     asking: int,

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import most_of, next_hits, no_hits, samples_of, settle
+from termwise.renderer.film import most_of, next_hits, no_hits, resolve_occlusion, samples_of
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sees_all_ambient, whole_color
@@ -109,7 +109,7 @@ def ambient_radiance(
 
 
 @device
-def _aim(scene: SceneArrays, rule: int, asking: int, scratch: Scratch) -> None:
+def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratch) -> None:
     """Draw the directions of the first `asking` occlusion rays, which are their normals before, and weigh their light.
 
     Loops of their own: those that draw and map eight points are vectorised.
@@ -152,7 +152,7 @@ def _occlusion(
                 for sample in range(begin, end):
                     scratch.column[waiting] = scratch.x[i]
                     if asks:
-                        # Its direction is the normal until `_aim` has drawn one.
+                        # Its direction is the normal until `_draw_directions` has drawn one.
                         put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
                         scratch.lane[asking] = waiting
                         scratch.key[asking] = scratch.pixel[i]
@@ -162,8 +162,10 @@ def _occlusion(
                     put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
                     waiting += 1
             if waiting + most_of(hits.last, hits.split) > SIZE or (hits.ends_row and i + 1 == hits.count):
-                _aim(scene, rule, asking, scratch)
-                settle(scene, waiting, asking, ambient_reach(scene, rule), False, hits.y, out, scratch)
+                _draw_directions(scene, rule, asking, scratch)
+                resolve_occlusion(
+                    scene, waiting, asking, ambient_reach(scene, rule), False, hits.y, out, scratch
+                )
                 waiting = 0
                 asking = 0
 

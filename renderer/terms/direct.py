@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, SceneArrays
-from termwise.renderer.film import accumulate, next_hits, no_hits, sampler_of, settle
+from termwise.renderer.film import accumulate, next_hits, no_hits, resolve_occlusion, sampler_of
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
@@ -132,7 +132,7 @@ def direct_nearest(
 
 
 @device
-def _aim(scene: SceneArrays, count: int, scratch: Scratch) -> None:
+def _draw_light_points(scene: SceneArrays, count: int, scratch: Scratch) -> None:
     """Draw the points of the light samples of the first `count` sights: the k-th of sight i is point `8 k + i`.
 
     In a loop of its own, which is vectorised.
@@ -161,7 +161,7 @@ def _next_event(
         hits = next_hits(scene, key, work, hits, scratch)
         if hits.count == 0:
             break
-        _aim(scene, hits.count, scratch)
+        _draw_light_points(scene, hits.count, scratch)
         waiting = 0
         asking = 0
         for i in range(hits.count):
@@ -185,7 +185,7 @@ def _next_event(
                         asking += 1
                     waiting += 1
             if waiting + scene.light_samples > SIZE or i + 1 == hits.count:
-                settle(scene, waiting, asking, 1.0, True, hits.y, out, scratch)
+                resolve_occlusion(scene, waiting, asking, 1.0, True, hits.y, out, scratch)
                 waiting = 0
                 asking = 0
 

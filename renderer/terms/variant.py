@@ -30,7 +30,7 @@ class Variant:
     name : the variant's name within its term.
     term : the term it estimates.
     driver : the kernel `driver(scene, *inputs, key, work, out, scratch)`, which adds the samples of all tiles of
-        `work` (see `film.Hits`) to `out` (H, W, 3) float64.
+        `work` (see `film.PrimaryHits`) to `out` (H, W, 3) float64.
     function : (scene, samples, seed) -> image (H, W, 3), linear radiance, in place of a driver: an estimator in
         Python, see `renderer.terms.register`.
     inputs : (scene, chain, photon map) -> the driver's further arguments.
