@@ -31,16 +31,6 @@ class Tile(NamedTuple):
 
 
 @device
-def item_of(work: np.ndarray, item: int) -> tuple[Tile, int, int, int]:
-    """Tile, the samples [first, last) of its pixels, and how many of them share a camera ray.
-
-    Work is (N, 7) int64, a row `(x0, y0, x1, y1, first, last, split)`: many small tiles take one call of a kernel.
-    """
-    tile = Tile(work[item, 0], work[item, 1], work[item, 2], work[item, 3])
-    return tile, work[item, 4], work[item, 5], work[item, 6]
-
-
-@device
 def sampler_of(i: int, scratch: Scratch) -> Sampler:
     """Randomness of sight i."""
     return Sampler(scratch.pixel[i], np.uint32(scratch.index[i]))
@@ -74,36 +64,66 @@ def most_of(last: int, split: int) -> int:
     return split if last > ALONE else 1
 
 
-@device
-def sights_of_row(tile: Tile, first: int, last: int, split: int) -> int:
-    """Number of sights of the samples [first, last) of all pixels of a row of a tile."""
-    begin, end = sights_of(first, last, split)
-    return (tile.x1 - tile.x0) * (end - begin)
+class PrimaryHits(NamedTuple):
+    """The group of sights at hand, and where it stands in the work.
+
+    Work is (N, 7) int64, a row `(x0, y0, x1, y1, first, last, split)`: the samples [first, last) of a tile's pixels,
+    `split` of which share a camera ray. Many small tiles take one call of a kernel.
+
+    Attributes
+    ----------
+    count : how many, those of `scratch.sights`; 0 where there are no more.
+    y : their row of the image; a group has no second one.
+    ends_row : whether they are the last ones of their row of the tile.
+    first, last, split : of the item.
+    item, x, index : of the next sight.
+    """
+
+    count: int
+    y: int
+    ends_row: bool
+    first: int
+    last: int
+    split: int
+    item: int
+    x: int
+    index: int
 
 
 @device
-def see(
-    scene: SceneArrays,
-    key: np.uint64,
-    tile: Tile,
-    y: int,
-    start: int,
-    first: int,
-    last: int,
-    split: int,
-    scratch: Scratch,
-) -> int:
-    """Fill `scratch.sights`, the next 8 of a row's sights from `start` on, pixel by pixel; returns how many.
+def no_hits() -> PrimaryHits:
+    """What stands before the first group."""
+    return PrimaryHits(0, 0, True, 0, 0, 1, -1, 0, 0)
+
+
+@device
+def next_hits(
+    scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: PrimaryHits, scratch: Scratch
+) -> PrimaryHits:
+    """Fill `scratch.sights` with the next 8 of the work, or what is left of a row, pixel by pixel.
 
     A sight is what one camera ray sees, for `split` samples. Those of one pixel, or of a few beside each other, go the
     same way: they make a packet (20 ns a ray in place of 87 singly, in the Cornell box). Rays through one point of
     their pixel are one ray, traced for its first sight alone. What another term has traced is taken from
     `scratch.seen`.
+
+    A driver calls it in one place, in a loop that has no end, and leaves at `count` 0. As the condition of a `while` it
+    would be compiled twice: Python repeats the condition behind the body.
     """
+    y, first, last, split = hits.y, hits.first, hits.last, hits.split
+    item, x, index = hits.item, hits.x, hits.index
+    if hits.ends_row:
+        y += 1
+        while item < 0 or y >= work[item, 3] or first >= last:
+            item += 1
+            if item == len(work):
+                return PrimaryHits(0, y, True, first, last, split, item, x, index)
+            y, first, last, split = work[item, 1], work[item, 4], work[item, 5], work[item, 6]
+        x = work[item, 0]
+        index, _ = sights_of(first, last, split)
+    x1 = work[item, 2]
     begin, end = sights_of(first, last, split)
-    count = min(SIZE, sights_of_row(tile, first, last, split) - start)
-    x = tile.x0 + start // (end - begin)
-    index = begin + start % (end - begin)
+    count = min(SIZE, (x1 - x) * (end - begin) - (index - begin))
     # The key of all randomness of a pixel.
     pixel = fold(key, y * scene.camera.width + x)
     known = scratch.seen.face.shape[1] > 0
@@ -122,7 +142,10 @@ def see(
             _recall(scene, y, i, scratch)
     else:
         _look(scene, y, begin, count, scratch)
-    return count
+    if index == end:
+        x += 1
+        index = begin
+    return PrimaryHits(count, y, x == x1, first, last, split, item, x, index)
 
 
 @device
@@ -181,7 +204,7 @@ def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
 
 
 @device
-def settle(
+def resolve_occlusion(
     scene: SceneArrays,
     waiting: int,
     asking: int,

@@ -12,7 +12,6 @@ import ast
 import functools
 import hashlib
 import importlib
-import importlib.util
 import inspect
 from collections.abc import Callable
 from pathlib import Path
@@ -29,33 +28,32 @@ F = TypeVar("F", bound=Callable[..., Any])
 PACKAGE = "termwise.renderer"
 
 
+def _file_of(module: str) -> Path:
+    """Where a module's source is; of one of `renderer` without importing it, which may be under way."""
+    if not module.startswith(f"{PACKAGE}."):
+        return Path(inspect.getfile(importlib.import_module(module)))
+    place = Path(__file__).parent.joinpath(*module.split(".")[2:])
+    return place / "__init__.py" if place.is_dir() else place.with_name(f"{place.name}.py")
+
+
 @functools.cache
 def _imports(module: str) -> tuple[Path, frozenset[str]]:
-    """File of a module, and the modules of `renderer` that it imports."""
-    path = Path(inspect.getfile(importlib.import_module(module)))
+    """File of a module, and the modules of `renderer` that it imports.
+
+    Those for annotations alone too: their types may be those of a function's arguments, and a cached function keeps
+    the layout that they had.
+    """
+    path = _file_of(module)
     found = set()
-    waiting: list[ast.AST] = [ast.parse(path.read_text("utf-8"))]
-    while waiting:
-        node = waiting.pop()
-        # What only annotations name changes no code, and may not be there yet: it may import this module.
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            continue
-        waiting.extend(ast.iter_child_nodes(node))
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(PACKAGE):
             found.add(node.module)
             # `from termwise.renderer import sobol` names a module, `….sobol import x` a function.
             nested = (f"{node.module}.{name.name}" for name in node.names)
-            found.update(name for name in nested if _is_module(name))
+            found.update(name for name in nested if _file_of(name).is_file())
         elif isinstance(node, ast.Import):
             found.update(name.name for name in node.names if name.name.startswith(PACKAGE))
     return path, frozenset(found - {PACKAGE})
-
-
-def _is_module(name: str) -> bool:
-    try:
-        return importlib.util.find_spec(name) is not None
-    except ModuleNotFoundError:
-        return False
 
 
 @functools.cache

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from termwise.renderer.jit import device
-from termwise.renderer.openness import open_sides
+from termwise.renderer.unoccluded import open_sides
 from termwise.renderer.vector import Vec3, vec3
 from termwise.scenes.model import Scene
 

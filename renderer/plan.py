@@ -16,11 +16,11 @@ import numpy as np
 
 from termwise.renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of, light_samples
 from termwise.renderer.film import ALONE, sights_of
-from termwise.renderer.openness import open_sides
 from termwise.renderer.photon_map import KEPT_BYTES
 from termwise.renderer.scratch import SEEN_BYTES
 from termwise.renderer.terms import VARIANTS
 from termwise.renderer.terms.variant import CHAINS, Chain, Stored, Variant
+from termwise.renderer.unoccluded import open_sides
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE, TERMS, Term, first
 

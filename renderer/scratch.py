@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike
 
 from termwise.renderer.arrays import LIGHT_SAMPLES
 from termwise.renderer.geometry.bvh import STACK_SIZE
-from termwise.renderer.geometry.packets import SIZE, Group, new_group
+from termwise.renderer.geometry.packets import SIZE, Rays8, new_rays8
 from termwise.renderer.memory import aligned, on_own_lines
 
 # Rays that ask for the nearest hit, rays that ask for any hit, photons traced, estimates of density by photons.
@@ -65,14 +65,14 @@ class Scratch(NamedTuple):
 
     stack: np.ndarray
     counts: np.ndarray
-    sights: Group
+    sights: Rays8
     x: np.ndarray
     pixel: np.ndarray
     index: np.ndarray
     column: np.ndarray
     radiance: np.ndarray
     hidden: np.ndarray
-    rays: Group
+    rays: Rays8
     lane: np.ndarray
     key: np.ndarray
     sample: np.ndarray
@@ -90,14 +90,14 @@ def new_scratch() -> Scratch:
     return Scratch(
         aligned(STACK_SIZE, np.int32),
         _zeros(len(COUNTERS), np.int64),
-        new_group(),
+        new_rays8(),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.uint64),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.int64),
         _zeros((SIZE, 3)),
         _zeros((SIZE, 3)),
-        new_group(),
+        new_rays8(),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.uint64),
         _zeros(SIZE, np.uint32),

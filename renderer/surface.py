@@ -10,7 +10,7 @@ from typing import NamedTuple
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry import paper, rays
 from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
-from termwise.renderer.geometry.packets import Group, hit_of, put_hit
+from termwise.renderer.geometry.packets import Rays8, hit_of, put_hit
 from termwise.renderer.jit import device
 from termwise.renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
 from termwise.renderer.triangles import Geometry, point_on_face
@@ -127,7 +127,7 @@ def occluded(
 
 
 @device
-def put_ray(group: Group, i: int, origin: Vec3, direction: Vec3) -> None:
+def put_ray(group: Rays8, i: int, origin: Vec3, direction: Vec3) -> None:
     """Make ray i of a group one that leaves no face."""
     put_column(group.origins, i, origin)
     put_column(group.directions, i, direction)
@@ -138,7 +138,7 @@ def put_ray(group: Group, i: int, origin: Vec3, direction: Vec3) -> None:
 
 @device
 def put_occlusion_ray(
-    scene: SceneArrays, group: Group, i: int, surface: Surface, direction: Vec3, target: int
+    scene: SceneArrays, group: Rays8, i: int, surface: Surface, direction: Vec3, target: int
 ) -> None:
     """Make ray i of a group one that leaves a surface; face `target` does not hide."""
     put_ray(group, i, surface.point, direction)
@@ -149,7 +149,7 @@ def put_occlusion_ray(
 
 
 @device
-def trace_group(scene: SceneArrays, group: Group, count: int, scratch: Scratch) -> None:
+def trace_group(scene: SceneArrays, group: Rays8, count: int, scratch: Scratch) -> None:
     """Nearest hits of the first `count` rays of a group, which begin near each other and go the same way."""
     scratch.counts[RAYS] += count
     geometry = scene.geometry
@@ -165,14 +165,14 @@ def trace_group(scene: SceneArrays, group: Group, count: int, scratch: Scratch) 
 
 
 @device
-def surface_of(scene: SceneArrays, group: Group, i: int) -> Surface:
+def surface_of(scene: SceneArrays, group: Rays8, i: int) -> Surface:
     """What ray i of a group has met."""
     return _surface(scene, hit_of(group, i), column(group.origins, i), column(group.directions, i))
 
 
 @device
 def occlude_group(
-    scene: SceneArrays, group: Group, count: int, far: float, coherent: bool, scratch: Scratch
+    scene: SceneArrays, group: Rays8, count: int, far: float, coherent: bool, scratch: Scratch
 ) -> None:
     """Which of the first `count` rays of a group are hidden: `group.found`, as `occluded` gives it."""
     scratch.counts[OCCLUSION_RAYS] += count

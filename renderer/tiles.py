@@ -68,7 +68,7 @@ def _tiles(wanted: np.ndarray, *, least: int, side: int = TILE) -> list[Tile]:
 def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int, split: int) -> np.ndarray:
     """What samples [first, last) of the mean pixel are in each tile: one at least of each, as soon as there are any.
 
-    (N, 7) int64, as `film.item_of` reads it.
+    (N, 7) int64, see `film.PrimaryHits`.
     """
     begin = np.where(first > 0, np.maximum(1, np.floor(first * share)), 0).astype(int)
     end = np.maximum(1, np.floor(last * share)).astype(int)

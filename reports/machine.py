@@ -1,5 +1,6 @@
 """What makes numbers here: the processor, and the versions of all that computes."""
 
+import contextlib
 import importlib.metadata
 import platform
 from pathlib import Path
@@ -16,8 +17,9 @@ def processor() -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything that makes numbers."""
-    packages = ("termwise", "numba", "numpy", "scipy", "scikit-image", "mitsuba", "drjit", "xarray")
-    return {"python": platform.python_version()} | {
-        name: importlib.metadata.version(name) for name in packages
-    }
+    """Versions of everything that makes numbers and is installed: who judges images alone has no renderer."""
+    found = {"python": platform.python_version()}
+    for name in ("termwise", "numba", "numpy", "scipy", "scikit-image", "mitsuba", "drjit", "xarray"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found

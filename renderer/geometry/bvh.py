@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from termwise.renderer.geometry import simd, wide
-from termwise.renderer.geometry.wide import MAX_DEPTH, WIDTH, Wide
+from termwise.renderer.geometry.wide import MAX_DEPTH, WIDTH, Bvh8
 from termwise.renderer.jit import kernel
 
 LEAF_SIZE = 4
@@ -39,7 +39,7 @@ class Tree(NamedTuple):
     first: np.ndarray
     count: np.ndarray
     order: np.ndarray
-    wide: Wide
+    wide: Bvh8
 
 
 @kernel

@@ -46,7 +46,7 @@ _UNIT = 2.0**-24
 _FAR_AWAY = 2.0**20  # a larger R is left to float64: its cube would overflow
 
 
-class Few(NamedTuple):
+class TriangleList(NamedTuple):
     """Corners (BLOCK B,) float32, `(x - center) scale`, and the number of triangles; nothing where there are many.
 
     A block has, of each corner and of each of its coordinates, those of 16 triangles.
@@ -58,15 +58,15 @@ class Few(NamedTuple):
     scale: float
 
 
-def few_of(corners: np.ndarray, center: Vec3, scale: float) -> Few:
+def few_of(corners: np.ndarray, center: Vec3, scale: float) -> TriangleList:
     """Lay out triangles (F, 3, 3), if they are few."""
     count = len(corners)
     if count > MOST:
-        return Few(np.zeros(0, np.float32), count, center, scale)
+        return TriangleList(np.zeros(0, np.float32), count, center, scale)
     blocks = np.zeros((-(-count // LANES), 3, 3, LANES), np.float32)
     for face in range(count):
         blocks[face // LANES, :, :, face % LANES] = (corners[face] - np.array(center)) * scale
-    return Few(on_own_lines(blocks.ravel()), count, center, scale)
+    return TriangleList(on_own_lines(blocks.ravel()), count, center, scale)
 
 
 @device
@@ -76,7 +76,7 @@ def _first(count: int) -> int:
 
 
 class Query(NamedTuple):
-    """A ray for 16 triangles, in the coordinates of `Few` and along its own axes.
+    """A ray for 16 triangles, in the coordinates of `TriangleList` and along its own axes.
 
     `x, y, z` are the origin, `sx, sy` the shear with its signs turned, `reach` the far end as a depth, `forward` the
     sign of the direction's largest component. `above2, above3` bound the errors of an edge function and of a depth
@@ -100,7 +100,7 @@ class Query(NamedTuple):
 
 
 @device
-def query(few: Few, ray: Ray, far: float) -> Query:
+def query(few: TriangleList, ray: Ray, far: float) -> Query:
     """Prepare a ray; float32 cannot hold the bounds of one from far away, which leaves all in doubt."""
     origin = Vec3(
         (ray.origin.x - few.center.x) * few.scale,
@@ -132,7 +132,12 @@ def query(few: Few, ray: Ray, far: float) -> Query:
 
 @device
 def put_queries(
-    few: Few, origins: np.ndarray, directions: np.ndarray, far: float, numbers: np.ndarray, axes: np.ndarray
+    few: TriangleList,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    far: float,
+    numbers: np.ndarray,
+    axes: np.ndarray,
 ) -> None:
     """Prepare eight rays (3, 8) in as many lanes, as `query` does; `numbers` (10, 8) and `axes` (3, 8) hold them."""
     o, d, scale = rows(origins), rows(directions), splat(few.scale, 8)
@@ -187,7 +192,7 @@ def query_of(numbers: np.ndarray, axes: np.ndarray, i: int) -> Query:
 
 
 @device
-def answer(few: Few, q: Query, ignore: FaceRange, target: int) -> int:
+def answer(few: TriangleList, q: Query, ignore: FaceRange, target: int) -> int:
     """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far: HIT, MISS or DOUBT."""
     x0, y0, z0 = splat(q.x, 16), splat(q.y, 16), splat(q.z, 16)
     sx, sy = splat(q.sx, 16), splat(q.sy, 16)
@@ -233,6 +238,6 @@ def answer(few: Few, q: Query, ignore: FaceRange, target: int) -> int:
 
 
 @device
-def any_hit_of_few(few: Few, ray: Ray, far: float, ignore: FaceRange, target: int) -> int:
+def any_hit_of_few(few: TriangleList, ray: Ray, far: float, ignore: FaceRange, target: int) -> int:
     """`answer` to one ray."""
     return answer(few, query(few, ray, far), ignore, target)

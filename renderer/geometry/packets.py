@@ -47,7 +47,7 @@ from termwise.renderer.geometry.simd import (
     store,
     widen,
 )
-from termwise.renderer.geometry.wide import HIGH, LEAF, LINKS, NODE, Wide
+from termwise.renderer.geometry.wide import HIGH, LEAF, LINKS, NODE, Bvh8
 from termwise.renderer.geometry.wide_traverse import (
     DISTANCE_BITS,
     KEYS,
@@ -69,14 +69,14 @@ from termwise.renderer.vector import column, entry
 
 SIZE = 8
 # Groups that are traced as bundles after a packet that did not pay, or was none; twice as many each time.
-PATIENCE, MOST_PATIENCE = 4, 256
+BACKOFF, MOST_BACKOFF = 4, 256
 # Nodes, leaves and triangles that a packet may test: with more a bundle is faster.
 MUCH_WORK = 48
 # Triangles that a packet may test where they are few.
 MUCH_OF_FEW = 24
 
 
-class Group(NamedTuple):
+class Rays8(NamedTuple):
     """Eight rays and what they meet.
 
     Attributes
@@ -88,7 +88,7 @@ class Group(NamedTuple):
     found : (8,) bool, whether anything is hit.
     shears : (8, 8) float64 scratch.
     numbers, axes : (10, 8) float32 and (3, 8) int32 scratch of `few.put_queries`.
-    patience : (2, 2) int64, for nearest and for any hits: how many groups more are traced as bundles at once, and how
+    backoff : (2, 2) int64, for nearest and for any hits: how many groups more are traced as bundles at once, and how
         many after the next packet that does not pay.
     """
 
@@ -105,10 +105,10 @@ class Group(NamedTuple):
     shears: np.ndarray
     numbers: np.ndarray
     axes: np.ndarray
-    patience: np.ndarray
+    backoff: np.ndarray
 
 
-def new_group() -> Group:
+def new_rays8() -> Rays8:
     """Make a group whose rays leave no face and aim at none."""
     arrays = (
         np.zeros((3, SIZE)),
@@ -124,19 +124,19 @@ def new_group() -> Group:
         np.zeros((SIZE, 8)),
         np.zeros((10, SIZE), np.float32),
         np.zeros((3, SIZE), np.int32),
-        np.array([[0, PATIENCE], [0, PATIENCE]]),
+        np.array([[0, BACKOFF], [0, BACKOFF]]),
     )
-    return Group(*map(on_own_lines, arrays))
+    return Rays8(*map(on_own_lines, arrays))
 
 
 @device
-def hit_of(group: Group, i: int) -> Hit:
+def hit_of(group: Rays8, i: int) -> Hit:
     """What ray i of a group has met."""
     return Hit(group.t[i], entry(group.face, i), group.b1[i], group.b2[i])
 
 
 @device
-def put_hit(group: Group, i: int, hit: Hit) -> None:
+def put_hit(group: Rays8, i: int, hit: Hit) -> None:
     """Write what ray i of a group has met."""
     group.t[i] = hit.t
     group.face[i] = hit.face
@@ -184,7 +184,7 @@ class Frustum(NamedTuple):
 
 
 @device
-def make_packet(wide: Wide, group: Group) -> Packet:
+def make_packet(wide: Bvh8, group: Rays8) -> Packet:
     """Make a packet of a group of 8 rays."""
     o = rows(group.origins)
     d = rows(group.directions)
@@ -247,7 +247,7 @@ def make_packet(wide: Wide, group: Group) -> Packet:
 
 
 @device
-def _frustum_of_boxes(wide: Wide, p: Packet) -> Frustum:
+def _frustum_of_boxes(wide: Bvh8, p: Packet) -> Frustum:
     cx = component(wide.center, p.shear.kx // 8)
     cy = component(wide.center, p.shear.ky // 8)
     cz = component(wide.center, p.shear.kz // 8)
@@ -371,7 +371,7 @@ def _nothing(far: float) -> Hits:
 
 
 @device
-def _nearer(best: Hits, p: Packet, group: Group, hit: Triangles, face: int) -> tuple[Hits, int]:
+def _nearer(best: Hits, p: Packet, group: Rays8, hit: Triangles, face: int) -> tuple[Hits, int]:
     """The nearest hits with one triangle more, and which of them are new, as bits."""
     this = splat(np.int32(face), 8)
     scale = splat(1.0, 8) / hit.det
@@ -389,7 +389,7 @@ def _nearer(best: Hits, p: Packet, group: Group, hit: Triangles, face: int) -> t
 
 
 @device
-def _hidden(p: Packet, group: Group, hit: Triangles, face: int, far: float) -> int:
+def _hidden(p: Packet, group: Rays8, hit: Triangles, face: int, far: float) -> int:
     """Which of 8 rays a triangle hides, as bits."""
     this = splat(np.int32(face), 8)
     counts = (this < load(group.first, 0, 8)) | (this >= load(group.end, 0, 8))
@@ -399,7 +399,7 @@ def _hidden(p: Packet, group: Group, hit: Triangles, face: int, far: float) -> i
 
 
 @device
-def _put_hits(group: Group, hits: Hits) -> None:
+def _put_hits(group: Rays8, hits: Hits) -> None:
     store(group.t, 0, hits.t)
     store(group.face, 0, hits.face)
     store(group.b1, 0, hits.b1)
@@ -407,13 +407,13 @@ def _put_hits(group: Group, hits: Hits) -> None:
 
 
 @device
-def _put_found(group: Group, hidden: int) -> None:
+def _put_found(group: Rays8, hidden: int) -> None:
     for lane in range(SIZE):
         group.found[lane] = (hidden >> lane) & 1 != 0
 
 
 @device
-def closest_hits_of_packet(wide: Wide, p: Packet, group: Group, far: float, stack: np.ndarray) -> bool:
+def closest_hits_of_packet(wide: Bvh8, p: Packet, group: Rays8, far: float, stack: np.ndarray) -> bool:
     """Write the nearest hits of 8 rays as `closest_hit` gives them; False: gave up, nothing written."""
     boxes = _frustum_of_boxes(wide, p)
     triangles = _frustum_of_triangles(p)
@@ -469,7 +469,7 @@ def closest_hits_of_packet(wide: Wide, p: Packet, group: Group, far: float, stac
 
 
 @device
-def any_hits_of_packet(wide: Wide, p: Packet, group: Group, far: float, stack: np.ndarray) -> bool:
+def any_hits_of_packet(wide: Bvh8, p: Packet, group: Rays8, far: float, stack: np.ndarray) -> bool:
     """Write what `any_hit` finds for 8 rays; False: gave up, nothing written."""
     boxes = _frustum_of_boxes(wide, p)
     triangles = _frustum_of_triangles(p)
@@ -508,7 +508,7 @@ def any_hits_of_packet(wide: Wide, p: Packet, group: Group, far: float, stack: n
 
 
 @device
-def _of_few(wide: Wide, p: Packet, furthest: float) -> int:
+def _of_few(wide: Bvh8, p: Packet, furthest: float) -> int:
     """Which of few triangles the frustum may meet, by their own boxes, as bits."""
     cx = component(wide.center, p.shear.kx // 8)
     cy = component(wide.center, p.shear.ky // 8)
@@ -561,7 +561,7 @@ def _face(corners: np.ndarray, face: int, p: Packet) -> Triangles:
 
 
 @device
-def closest_hits_among_few(corners: np.ndarray, wide: Wide, p: Packet, group: Group, far: float) -> bool:
+def closest_hits_among_few(corners: np.ndarray, wide: Bvh8, p: Packet, group: Rays8, far: float) -> bool:
     """Write the nearest hits of 8 rays as `closest_hit` gives them; False: gave up, nothing written."""
     faces = _of_few(wide, p, highest(splat(far, 8) * p.speed))
     if count_bits(faces) > MUCH_OF_FEW:
@@ -578,7 +578,7 @@ def closest_hits_among_few(corners: np.ndarray, wide: Wide, p: Packet, group: Gr
 
 
 @device
-def any_hits_among_few(corners: np.ndarray, wide: Wide, p: Packet, group: Group, far: float) -> bool:
+def any_hits_among_few(corners: np.ndarray, wide: Bvh8, p: Packet, group: Rays8, far: float) -> bool:
     """Write what `any_hit` finds for 8 rays; False: gave up, nothing written."""
     faces = _of_few(wide, p, highest(splat(far, 8) * p.speed))
     if count_bits(faces) > MUCH_OF_FEW:
@@ -604,7 +604,7 @@ class Bundle(NamedTuple):
 
 
 @device
-def _write_shear(group: Group, i: int) -> None:
+def _write_shear(group: Rays8, i: int) -> None:
     """Keep origin and shear of ray i along its own axes, and these axes: divided for once, where a leaf asks first."""
     ray = make_ray(column(group.origins, i), column(group.directions, i))
     shears = group.shears
@@ -632,7 +632,7 @@ def _read_shear(shears: np.ndarray, i: int) -> Shear:
 
 
 @device
-def _axis(wide: Wide, origin: int, direction: int, center: float, largest: int, pad: int) -> tuple:
+def _axis(wide: Bvh8, origin: int, direction: int, center: float, largest: int, pad: int) -> tuple:
     finite = minimum(magnitude(largest / direction), splat(MAX_INVERSE, 8))
     inverse = choose(direction < splat(0.0, 8), splat(0.0, 8) - finite, finite)
     o = (origin - splat(center, 8)) * splat(wide.scale, 8)
@@ -640,7 +640,7 @@ def _axis(wide: Wide, origin: int, direction: int, center: float, largest: int, 
 
 
 @device
-def make_bundle(wide: Wide, group: Group, far: float) -> Bundle:
+def make_bundle(wide: Bvh8, group: Rays8, far: float) -> Bundle:
     """Make a bundle of rays of any directions."""
     o = rows(group.origins)
     d = rows(group.directions)
@@ -689,7 +689,7 @@ def _slab_alone(nodes: np.ndarray, start: int, b: Bundle, ray: int) -> tuple:
 
 
 @device
-def any_hits_of_bundle(wide: Wide, group: Group, count: int, far: float, stack: np.ndarray) -> None:
+def any_hits_of_bundle(wide: Bvh8, group: Rays8, count: int, far: float, stack: np.ndarray) -> None:
     """Write what `any_hit` finds for the first `count` rays of a group, of any directions."""
     bundle = make_bundle(wide, group, far)
     written = 0
@@ -750,7 +750,7 @@ def any_hits_of_bundle(wide: Wide, group: Group, count: int, far: float, stack: 
 
 
 @device
-def closest_hits_of_bundle(wide: Wide, group: Group, count: int, far: float, stack: np.ndarray) -> None:
+def closest_hits_of_bundle(wide: Bvh8, group: Rays8, count: int, far: float, stack: np.ndarray) -> None:
     """Write the nearest hits of the first `count` rays of a group, of any directions, as `closest_hit` gives them."""
     t = group.t
     face = group.face

@@ -11,7 +11,7 @@ from termwise.renderer.geometry import packets, simd, traverse, wide_traverse
 from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
 from termwise.renderer.geometry.few import DOUBT, HIT, answer, any_hit_of_few, put_queries, query_of
 from termwise.renderer.geometry.intersect import NOTHING, FaceRange, Hit, Ray, make_ray
-from termwise.renderer.geometry.packets import Group, put_hit
+from termwise.renderer.geometry.packets import Rays8, put_hit
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.vector import column, vec3
 
@@ -20,18 +20,18 @@ _NEAREST, _ANY = range(2)
 
 
 @device
-def _hopeful(group: Group, kind: int) -> bool:
+def _hopeful(group: Rays8, kind: int) -> bool:
     """Whether a packet of this kind is tried: not for a while after one that did not pay."""
-    if group.patience[kind, 0] > 0:
-        group.patience[kind, 0] -= 1
+    if group.backoff[kind, 0] > 0:
+        group.backoff[kind, 0] -= 1
         return False
     return True
 
 
 @device
-def _give_up(group: Group, kind: int) -> None:
-    group.patience[kind, 0] = group.patience[kind, 1]
-    group.patience[kind, 1] = min(2 * group.patience[kind, 1], packets.MOST_PATIENCE)
+def _give_up(group: Rays8, kind: int) -> None:
+    group.backoff[kind, 0] = group.backoff[kind, 1]
+    group.backoff[kind, 1] = min(2 * group.backoff[kind, 1], packets.MOST_BACKOFF)
 
 
 if _VECTORS:
@@ -64,7 +64,7 @@ if _VECTORS:
     def closest_hits_of_group(
         corners: np.ndarray,
         tree: Tree,
-        group: Group,
+        group: Rays8,
         count: int,
         far: float,
         coherent: bool,
@@ -78,13 +78,13 @@ if _VECTORS:
                 if len(tree.wide.few.corners) > 0
                 else packets.closest_hits_of_packet(tree.wide, packet, group, far, stack)
             ):
-                group.patience[_NEAREST, 1] = packets.PATIENCE
+                group.backoff[_NEAREST, 1] = packets.BACKOFF
                 return
             _give_up(group, _NEAREST)
         packets.closest_hits_of_bundle(tree.wide, group, count, far, stack)
 
     @device
-    def _any_hits_of_few(tree: Tree, group: Group, count: int, far: float, stack: np.ndarray) -> None:
+    def _any_hits_of_few(tree: Tree, group: Rays8, count: int, far: float, stack: np.ndarray) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group, where triangles are few."""
         doubts = 0
         put_queries(tree.wide.few, group.origins, group.directions, far, group.numbers, group.axes)
@@ -106,7 +106,7 @@ if _VECTORS:
     def any_hits_of_group(
         corners: np.ndarray,
         tree: Tree,
-        group: Group,
+        group: Rays8,
         count: int,
         far: float,
         coherent: bool,
@@ -120,7 +120,7 @@ if _VECTORS:
                 if len(tree.wide.few.corners) > 0
                 else packets.any_hits_of_packet(tree.wide, packet, group, far, stack)
             ):
-                group.patience[_ANY, 1] = packets.PATIENCE
+                group.backoff[_ANY, 1] = packets.BACKOFF
                 return
             _give_up(group, _ANY)
         if len(tree.wide.few.corners) > 0:
@@ -135,7 +135,7 @@ else:
     def closest_hits_of_group(
         corners: np.ndarray,
         tree: Tree,
-        group: Group,
+        group: Rays8,
         count: int,
         far: float,
         coherent: bool,
@@ -151,7 +151,7 @@ else:
     def any_hits_of_group(
         corners: np.ndarray,
         tree: Tree,
-        group: Group,
+        group: Rays8,
         count: int,
         far: float,
         coherent: bool,
@@ -165,7 +165,7 @@ else:
 
 
 @device
-def _load_group(origins: np.ndarray, directions: np.ndarray, row: int, count: int, group: Group) -> None:
+def _load_group(origins: np.ndarray, directions: np.ndarray, row: int, count: int, group: Rays8) -> None:
     for axis in range(3):
         for i in range(count):
             group.origins[axis, i] = origins[row + i, axis]
@@ -181,7 +181,7 @@ def closest_hits(
     far: float,
     t: np.ndarray,
     face: np.ndarray,
-    group: Group,
+    group: Rays8,
 ) -> None:
     """Distance t (N,) and face (N,) int32 of the nearest hit of rays (N, 3), (N, 3); far and -1 where none is."""
     stack = np.empty(STACK_SIZE, np.int32)
@@ -202,7 +202,7 @@ def any_hits(
     directions: np.ndarray,
     far: float,
     found: np.ndarray,
-    group: Group,
+    group: Rays8,
 ) -> None:
     """Whether each ray hits anything nearer than `far`: (N,) bool."""
     stack = np.empty(STACK_SIZE, np.int32)

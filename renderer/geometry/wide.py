@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.geometry.few import Few, few_of
+from termwise.renderer.geometry.few import TriangleList, few_of
 from termwise.renderer.geometry.intersect import component
 from termwise.renderer.jit import kernel
 from termwise.renderer.memory import aligned
@@ -36,7 +36,7 @@ _AS_LEAF = 9
 MAX_DEPTH = 80
 
 
-class Wide(NamedTuple):
+class Bvh8(NamedTuple):
     """The tree; its coordinates are `(x - center) scale`, in [-1, 1].
 
     Attributes
@@ -52,14 +52,14 @@ class Wide(NamedTuple):
     leaves: np.ndarray
     center: Vec3
     scale: float
-    few: Few
+    few: TriangleList
 
 
-def empty() -> Wide:
+def empty() -> Bvh8:
     """No node: of an empty scene, or where vectors are not available."""
     center = Vec3(0.0, 0.0, 0.0)
     none = few_of(np.zeros((0, 3, 3)), center, 1.0)
-    return Wide(np.zeros(0, np.float32), np.zeros(0, np.float32), center, 1.0, none)
+    return Bvh8(np.zeros(0, np.float32), np.zeros(0, np.float32), center, 1.0, none)
 
 
 @kernel
@@ -216,7 +216,7 @@ def collapse(
     first: np.ndarray,
     count: np.ndarray,
     order: np.ndarray,
-) -> Wide:
+) -> Bvh8:
     """Make the wide tree of triangles (F, 3, 3) from their binary tree, whose arrays `bvh.Tree` describes."""
     if len(right) == 0:
         return empty()
@@ -246,4 +246,4 @@ def collapse(
         leaves,
         leaves.view(np.int32),
     )
-    return Wide(nodes.ravel(), leaves.ravel(), center, scale, few_of(corners, center, scale))
+    return Bvh8(nodes.ravel(), leaves.ravel(), center, scale, few_of(corners, center, scale))

@@ -39,7 +39,7 @@ from termwise.renderer.geometry.simd import (
     store,
     widen,
 )
-from termwise.renderer.geometry.wide import FACES, HIGH, LEAF, LINKS, NODE, Wide
+from termwise.renderer.geometry.wide import FACES, HIGH, LEAF, LINKS, NODE, Bvh8
 from termwise.renderer.jit import device
 from termwise.renderer.vector import entry
 
@@ -82,7 +82,7 @@ def _clamped(inverse: float) -> float:
 
 
 @device
-def _slabs(wide: Wide, ray: Ray) -> Slabs:
+def _slabs(wide: Bvh8, ray: Ray) -> Slabs:
     largest = abs(component(ray.direction, ray.kz))
     ix = _clamped(ray.inverse.x * largest)
     iy = _clamped(ray.inverse.y * largest)
@@ -254,7 +254,7 @@ def face_of(leaves: np.ndarray, leaf: int, lane: int) -> int:
 
 
 @device
-def closest_hit(wide: Wide, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray) -> Hit:
+def closest_hit(wide: Bvh8, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray) -> Hit:
     """Nearest hit at 0 < t <= far on any face but those of `ignore`; `stack` is int32 scratch of STACK_SIZE."""
     best = Hit(far, -1, 0.0, 0.0)
     if len(wide.nodes) == 0:
@@ -314,7 +314,7 @@ def closest_hit(wide: Wide, ray: Ray, far: float, ignore: FaceRange, stack: np.n
 
 
 @device
-def any_hit(wide: Wide, ray: Ray, far: float, ignore: FaceRange, target: int, stack: np.ndarray) -> bool:
+def any_hit(wide: Bvh8, ray: Ray, far: float, ignore: FaceRange, target: int, stack: np.ndarray) -> bool:
     """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far."""
     if len(wide.nodes) == 0:
         return False

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import item_of, most_of, samples_of, see, settle, sights_of_row
+from termwise.renderer.film import most_of, next_hits, no_hits, resolve_occlusion, samples_of
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sees_all_ambient, whole_color
@@ -110,7 +110,7 @@ def ambient_radiance(
 
 
 @device
-def _aim(scene: SceneArrays, rule: int, asking: int, scratch: Scratch) -> None:
+def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratch) -> None:
     """Draw the directions of the first `asking` occlusion rays, which are their normals before, and weigh their light.
 
     Loops of their own: those that draw and map eight points are vectorised.
@@ -138,38 +138,37 @@ def _occlusion(
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
-    for item in range(len(work)):
-        tile, first, last, split = item_of(work, item)
-        for y in range(tile.y0, tile.y1):
-            waiting = 0
-            asking = 0
-            sights = sights_of_row(tile, first, last, split)
-            for start in range(0, sights, SIZE):
-                count = see(scene, key, tile, y, start, first, last, split, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if surface.face >= 0:
-                        radiance, asks = ambient_light(
-                            scene, rule, surface, shadowed(scene, surface, scratch)
-                        )
-                        begin, end = samples_of(scratch.index[i], split, first, last)
-                        for sample in range(begin, end):
-                            scratch.column[waiting] = scratch.x[i]
-                            if asks:
-                                # Its direction is the normal until `_aim` has drawn one.
-                                put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
-                                scratch.lane[asking] = waiting
-                                scratch.key[asking] = scratch.pixel[i]
-                                scratch.sample[asking] = sample
-                                asking += 1
-                            put(scratch.radiance, waiting, radiance)
-                            put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
-                            waiting += 1
-                    if waiting + most_of(last, split) > SIZE or start + i + 1 == sights:
-                        _aim(scene, rule, asking, scratch)
-                        settle(scene, waiting, asking, ambient_reach(scene, rule), False, y, out, scratch)
-                        waiting = 0
-                        asking = 0
+    waiting = 0
+    asking = 0
+    hits = no_hits()
+    while True:
+        hits = next_hits(scene, key, work, hits, scratch)
+        if hits.count == 0:
+            break
+        for i in range(hits.count):
+            surface = surface_of(scene, scratch.sights, i)
+            if surface.face >= 0:
+                radiance, asks = ambient_light(scene, rule, surface, shadowed(scene, surface, scratch))
+                begin, end = samples_of(scratch.index[i], hits.split, hits.first, hits.last)
+                for sample in range(begin, end):
+                    scratch.column[waiting] = scratch.x[i]
+                    if asks:
+                        # Its direction is the normal until `_draw_directions` has drawn one.
+                        put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
+                        scratch.lane[asking] = waiting
+                        scratch.key[asking] = scratch.pixel[i]
+                        scratch.sample[asking] = sample
+                        asking += 1
+                    put(scratch.radiance, waiting, radiance)
+                    put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
+                    waiting += 1
+            if waiting + most_of(hits.last, hits.split) > SIZE or (hits.ends_row and i + 1 == hits.count):
+                _draw_directions(scene, rule, asking, scratch)
+                resolve_occlusion(
+                    scene, waiting, asking, ambient_reach(scene, rule), False, hits.y, out, scratch
+                )
+                waiting = 0
+                asking = 0
 
 
 def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

@@ -6,8 +6,7 @@ The paper draws no lights. An emitter shows the radiance of its front side; its 
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import accumulate, item_of, see, sights_of_row
-from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.film import accumulate, next_hits, no_hits
 from termwise.renderer.jit import kernel
 from termwise.renderer.material import emission
 from termwise.renderer.scratch import Scratch
@@ -21,21 +20,19 @@ from termwise.scenes.limits import Limit
 
 @kernel
 def _seen(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch) -> None:
-    for item in range(len(work)):
-        tile, first, last, _ = item_of(work, item)
-        for y in range(tile.y0, tile.y1):
-            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
-                count = see(scene, key, tile, y, start, first, last, 1, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if surface.face < 0:
-                        origin = column(scratch.sights.origins, i)
-                        direction = column(scratch.sights.directions, i)
-                        accumulate(out, y, scratch.x[i], sky_radiance(scene.sky, origin, direction))
-                    elif scene.draw_lights and surface.side > 0.0:
-                        accumulate(
-                            out, y, scratch.x[i], emission(scene, surface.face, surface.b1, surface.b2)
-                        )
+    hits = no_hits()
+    while True:
+        hits = next_hits(scene, key, work, hits, scratch)
+        if hits.count == 0:
+            break
+        for i in range(hits.count):
+            surface = surface_of(scene, scratch.sights, i)
+            if surface.face < 0:
+                origin = column(scratch.sights.origins, i)
+                direction = column(scratch.sights.directions, i)
+                accumulate(out, hits.y, scratch.x[i], sky_radiance(scene.sky, origin, direction))
+            elif scene.draw_lights and surface.side > 0.0:
+                accumulate(out, hits.y, scratch.x[i], emission(scene, surface.face, surface.b1, surface.b2))
 
 
 VARIANTS = (

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, SceneArrays
-from termwise.renderer.film import accumulate, item_of, sampler_of, see, settle, sights_of_row
+from termwise.renderer.film import accumulate, next_hits, no_hits, resolve_occlusion, sampler_of
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
@@ -133,7 +133,7 @@ def direct_nearest(
 
 
 @device
-def _aim(scene: SceneArrays, count: int, scratch: Scratch) -> None:
+def _draw_light_points(scene: SceneArrays, count: int, scratch: Scratch) -> None:
     """Draw the points of the light samples of the first `count` sights: the k-th of sight i is point `8 k + i`.
 
     In a loop of its own, which is vectorised.
@@ -157,54 +157,52 @@ def _next_event(
     scratch: Scratch,
 ) -> None:
     share = 1.0 / scene.light_samples
-    for item in range(len(work)):
-        tile, first, last, _ = item_of(work, item)
-        for y in range(tile.y0, tile.y1):
-            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
-                count = see(scene, key, tile, y, start, first, last, 1, scratch)
-                _aim(scene, count, scratch)
+    hits = no_hits()
+    while True:
+        hits = next_hits(scene, key, work, hits, scratch)
+        if hits.count == 0:
+            break
+        _draw_light_points(scene, hits.count, scratch)
+        waiting = 0
+        asking = 0
+        for i in range(hits.count):
+            surface = surface_of(scene, scratch.sights, i)
+            if (
+                surface.face >= 0
+                and not (scene.skips.diffuse and is_black(diffuse_weight(scene, surface)))
+                and not shadowed(scene, surface, scratch)
+            ):
+                scattered = estimate_irradiance(scene, photons, surface, scratch)
+                hidden = scale(_reflected(scene, surface, Vec3(0.0, 0.0, 0.0), scattered), share)
+                for k in range(i, scene.light_samples * SIZE, SIZE):
+                    straight, direction, target = sample_light(scene, surface, scratch.u[k], scratch.v[k])
+                    radiance = scale(_reflected(scene, surface, straight, scattered), share)
+                    scratch.column[waiting] = scratch.x[i]
+                    put(scratch.radiance, waiting, radiance)
+                    put(scratch.hidden, waiting, hidden)
+                    if not (scene.skips.horizon and is_black(straight)):
+                        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
+                        scratch.lane[asking] = waiting
+                        asking += 1
+                    waiting += 1
+            if waiting + scene.light_samples > SIZE or i + 1 == hits.count:
+                resolve_occlusion(scene, waiting, asking, 1.0, True, hits.y, out, scratch)
                 waiting = 0
                 asking = 0
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if (
-                        surface.face >= 0
-                        and not (scene.skips.diffuse and is_black(diffuse_weight(scene, surface)))
-                        and not shadowed(scene, surface, scratch)
-                    ):
-                        scattered = estimate_irradiance(scene, photons, surface, scratch)
-                        hidden = scale(_reflected(scene, surface, Vec3(0.0, 0.0, 0.0), scattered), share)
-                        for k in range(i, scene.light_samples * SIZE, SIZE):
-                            straight, direction, target = sample_light(
-                                scene, surface, scratch.u[k], scratch.v[k]
-                            )
-                            radiance = scale(_reflected(scene, surface, straight, scattered), share)
-                            scratch.column[waiting] = scratch.x[i]
-                            put(scratch.radiance, waiting, radiance)
-                            put(scratch.hidden, waiting, hidden)
-                            if not (scene.skips.horizon and is_black(straight)):
-                                put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
-                                scratch.lane[asking] = waiting
-                                asking += 1
-                            waiting += 1
-                    if waiting + scene.light_samples > SIZE or i + 1 == count:
-                        settle(scene, waiting, asking, 1.0, True, y, out, scratch)
-                        waiting = 0
-                        asking = 0
 
 
 @kernel
 def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch) -> None:
-    for item in range(len(work)):
-        tile, first, last, _ = item_of(work, item)
-        for y in range(tile.y0, tile.y1):
-            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
-                count = see(scene, key, tile, y, start, first, last, 1, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        sampler = sampler_of(i, scratch)
-                        accumulate(out, y, scratch.x[i], direct_path(scene, surface, sampler, scratch))
+    hits = no_hits()
+    while True:
+        hits = next_hits(scene, key, work, hits, scratch)
+        if hits.count == 0:
+            break
+        for i in range(hits.count):
+            surface = surface_of(scene, scratch.sights, i)
+            if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                sampler = sampler_of(i, scratch)
+                accumulate(out, hits.y, scratch.x[i], direct_path(scene, surface, sampler, scratch))
 
 
 @kernel
@@ -216,19 +214,19 @@ def _photon_map(
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
-    for item in range(len(work)):
-        tile, first, last, _ = item_of(work, item)
-        for y in range(tile.y0, tile.y1):
-            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
-                count = see(scene, key, tile, y, start, first, last, 1, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        weight = diffuse_weight(scene, surface)
-                        if not (scene.skips.diffuse and is_black(weight)):
-                            irradiance = estimate_irradiance(scene, photons, surface, scratch)
-                            radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
-                            accumulate(out, y, scratch.x[i], radiance)
+    hits = no_hits()
+    while True:
+        hits = next_hits(scene, key, work, hits, scratch)
+        if hits.count == 0:
+            break
+        for i in range(hits.count):
+            surface = surface_of(scene, scratch.sights, i)
+            if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                weight = diffuse_weight(scene, surface)
+                if not (scene.skips.diffuse and is_black(weight)):
+                    irradiance = estimate_irradiance(scene, photons, surface, scratch)
+                    radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
+                    accumulate(out, hits.y, scratch.x[i], radiance)
 
 
 @kernel
@@ -244,16 +242,16 @@ def _nearest(
 ) -> None:
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
-    for item in range(len(work)):
-        tile, first, last, _ = item_of(work, item)
-        for y in range(tile.y0, tile.y1):
-            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
-                count = see(scene, key, tile, y, start, first, last, 1, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                        radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
-                        accumulate(out, y, scratch.x[i], radiance)
+    hits = no_hits()
+    while True:
+        hits = next_hits(scene, key, work, hits, scratch)
+        if hits.count == 0:
+            break
+        for i in range(hits.count):
+            surface = surface_of(scene, scratch.sights, i)
+            if surface.face >= 0 and not shadowed(scene, surface, scratch):
+                radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
+                accumulate(out, hits.y, scratch.x[i], radiance)
 
 
 def _limit(scene: Scene, samples: int) -> Limit:

@@ -99,8 +99,8 @@ class Estimator(Protocol):
 class Compiled:
     """A kernel `driver(scene, *inputs, key, work, out, scratch)`.
 
-    It adds the samples of all tiles of `work` (see `film.item_of`) to `out` (H, W, 3) float64; the engine runs it on
-    tiles, `Variant.inputs` are its further arguments.
+    It adds the samples of all tiles of `work` (see `film.PrimaryHits`) to `out` (H, W, 3) float64; the engine runs it
+    on tiles, `Variant.inputs` are its further arguments.
     """
 
     driver: Callable[..., None]

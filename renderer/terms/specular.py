@@ -24,9 +24,8 @@ from typing import Any
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import accumulate, item_of, sampler_of, see, sights_of_row
+from termwise.renderer.film import accumulate, next_hits, no_hits, sampler_of
 from termwise.renderer.geometry.intersect import make_ray
-from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import lobe_alpha, lobe_f0, specular_weight
 from termwise.renderer.microfacet import eval_dfg, sample_lobe
@@ -131,46 +130,44 @@ def _chain(
 ) -> None:
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
-    for item in range(len(work)):
-        tile, first, last, _ = item_of(work, item)
-        for y in range(tile.y0, tile.y1):
-            for start in range(0, sights_of_row(tile, first, last, 1), SIZE):
-                count = see(scene, key, tile, y, start, first, last, 1, scratch)
-                for i in range(count):
-                    surface = surface_of(scene, scratch.sights, i)
-                    sampler = sampler_of(i, scratch)
-                    throughput = Vec3(1.0, 1.0, 1.0)
-                    bounce = 0
-                    while surface.face >= 0 and bounce < scene.max_bounces:
-                        bounce += 1
-                        gloss = specular_weight(scene, surface)
-                        if gloss == 0.0 or shadowed(scene, surface, scratch):
-                            break
-                        local = frame(surface.normal)
-                        wo = to_local(local, surface.wo)
-                        u, v = sample_2d(sampler, LOBE)
-                        alpha, f0 = lobe_alpha(scene, surface), lobe_f0(scene, surface)
-                        wi, weight = sample_variant(lobe, scene.rings, wo, alpha, f0, u, v)
-                        throughput = scale(mul(throughput, weight), gloss)
-                        if scene.skips.throughput and is_black(throughput):
-                            break
-                        brightest = max_component(throughput)
-                        if 0.0 < brightest < scene.faint:
-                            survival = brightest / scene.faint
-                            if sample_1d(sampler, ROULETTE) >= survival:
-                                break
-                            throughput = scale(throughput, 1.0 / survival)
-                        direction = to_world(local, wi)
-                        origin = surface.point
-                        surface = trace(scene, make_ray(origin, direction), surface.face, scratch)
-                        sampler = Sampler(fold(sampler.key, _CHAIN), sampler.index)
-                        if surface.face < 0:
-                            radiance = sky_radiance(scene.sky, origin, direction)
-                        else:
-                            radiance = _diffuse(
-                                scene, direct, photons, heap, chosen, surface, sampler, scratch
-                            )
-                        accumulate(out, y, scratch.x[i], mul(throughput, radiance))
+    hits = no_hits()
+    while True:
+        hits = next_hits(scene, key, work, hits, scratch)
+        if hits.count == 0:
+            break
+        for i in range(hits.count):
+            surface = surface_of(scene, scratch.sights, i)
+            sampler = sampler_of(i, scratch)
+            throughput = Vec3(1.0, 1.0, 1.0)
+            bounce = 0
+            while surface.face >= 0 and bounce < scene.max_bounces:
+                bounce += 1
+                gloss = specular_weight(scene, surface)
+                if gloss == 0.0 or shadowed(scene, surface, scratch):
+                    break
+                local = frame(surface.normal)
+                wo = to_local(local, surface.wo)
+                u, v = sample_2d(sampler, LOBE)
+                alpha, f0 = lobe_alpha(scene, surface), lobe_f0(scene, surface)
+                wi, weight = sample_variant(lobe, scene.rings, wo, alpha, f0, u, v)
+                throughput = scale(mul(throughput, weight), gloss)
+                if scene.skips.throughput and is_black(throughput):
+                    break
+                brightest = max_component(throughput)
+                if 0.0 < brightest < scene.faint:
+                    survival = brightest / scene.faint
+                    if sample_1d(sampler, ROULETTE) >= survival:
+                        break
+                    throughput = scale(throughput, 1.0 / survival)
+                direction = to_world(local, wi)
+                origin = surface.point
+                surface = trace(scene, make_ray(origin, direction), surface.face, scratch)
+                sampler = Sampler(fold(sampler.key, _CHAIN), sampler.index)
+                if surface.face < 0:
+                    radiance = sky_radiance(scene.sky, origin, direction)
+                else:
+                    radiance = _diffuse(scene, direct, photons, heap, chosen, surface, sampler, scratch)
+                accumulate(out, hits.y, scratch.x[i], mul(throughput, radiance))
 
 
 def _inputs(lobe: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from termwise.renderer.geometry import bvh
-from termwise.renderer.geometry.packets import new_group
+from termwise.renderer.geometry.packets import new_rays8
 from termwise.renderer.geometry.rays import any_hits, closest_hits
 from termwise.reports.bench.common import BACKEND, known, machine, positive, timed
 from termwise.scenes.load import load
@@ -142,7 +142,7 @@ def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
     if kind == "primary":
         return primary
     t, face = np.empty(len(directions)), np.empty(len(directions), np.int32)
-    closest_hits(mesh.corners, mesh.tree, primary.origins, primary.directions, np.inf, t, face, new_group())
+    closest_hits(mesh.corners, mesh.tree, primary.origins, primary.directions, np.inf, t, face, new_rays8())
     hit = np.flatnonzero(face >= 0)
     if kind == "ao":
         # Every 64th pixel of a row or so, each with its fan.
@@ -192,7 +192,7 @@ class Ours:
             rays.far,
             self.t[part],
             self.face[part],
-            new_group(),
+            new_rays8(),
         )
 
     def _any(self, part: slice) -> None:
@@ -204,7 +204,7 @@ class Ours:
             rays.directions[part],
             rays.far,
             self.found[part],
-            new_group(),
+            new_rays8(),
         )
 
     def run(self) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from termwise.renderer.geometry import bvh, paper, rays, traverse
 from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
 from termwise.renderer.geometry.intersect import FaceRange, make_ray
-from termwise.renderer.geometry.packets import SIZE, Group, new_group
+from termwise.renderer.geometry.packets import SIZE, Rays8, new_rays8
 from termwise.renderer.jit import kernel
 from termwise.renderer.vector import put_column, vec3
 
@@ -86,7 +86,7 @@ def _groups(
     directions: np.ndarray,
     leaving: np.ndarray,
     found: Found,
-    group: Group,
+    group: Rays8,
 ) -> None:
     stack = np.empty(STACK_SIZE, np.int32)
     for start in range(0, len(origins), SIZE):
@@ -153,14 +153,14 @@ def wide(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leavi
 def groups(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray) -> Found:
     """Descend in groups of 8; arguments as of `binary`."""
     found = _room(len(origins))
-    _groups(corners, _tree(corners), origins, directions, leaving, found, new_group())
+    _groups(corners, _tree(corners), origins, directions, leaving, found, new_rays8())
     return found
 
 
 def run_groups(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray) -> None:
     """Trace rays on a tree that exists, and throw the hits away: what is timed."""
     free = np.full(len(origins), -1, np.int32)
-    _groups(corners, tree, origins, directions, free, _room(len(origins)), new_group())
+    _groups(corners, tree, origins, directions, free, _room(len(origins)), new_rays8())
 
 
 def all_faces(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray) -> Found:

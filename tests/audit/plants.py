@@ -80,8 +80,8 @@ PLANTS = (
         "ambient: occlusion drawn but not applied",
         AMBIENT,
         _AMBIENT,
-        "settle(scene, waiting, asking, ambient_reach(scene, rule), False, y, out, scratch)",
-        "settle(scene, waiting, 0, ambient_reach(scene, rule), False, y, out, scratch)",
+        "scene, waiting, asking, ambient_reach(scene, rule), False, hits.y, out, scratch",
+        "scene, waiting, 0, ambient_reach(scene, rule), False, hits.y, out, scratch",
     ),
     Plant(
         "normal not turned to the viewer",
@@ -143,8 +143,8 @@ PLANTS = (
         "direct: shadow ray too short",
         DIRECT,
         _DIRECT,
-        "settle(scene, waiting, asking, 1.0, True, y, out, scratch)",
-        "settle(scene, waiting, asking, 0.2, True, y, out, scratch)",
+        "resolve_occlusion(scene, waiting, asking, 1.0, True, hits.y, out, scratch)",
+        "resolve_occlusion(scene, waiting, asking, 0.2, True, hits.y, out, scratch)",
     ),
     Plant(
         "diffuse weight without (1 - g)",

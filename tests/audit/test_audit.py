@@ -44,7 +44,7 @@ def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tmp_path, monkey
     with faults.Tree(seed=3) as tree:
         fault = tree.replicates(TINY, GAIN)
         sound = tree.replicates(TINY)
-        assert (tree.root / GAIN.path).read_bytes() == source
+        assert (tree.root / "termwise" / GAIN.path).read_bytes() == source
     assert fault.shape == (faults.REPLICATES, 4, 4, 3)
     np.testing.assert_allclose(fault, 1.01 * sound, rtol=1e-6)
     assert (ROOT / GAIN.path).read_bytes() == source

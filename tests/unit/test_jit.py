@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from termwise.renderer.geometry.simd import available
-from termwise.renderer.jit import closure_digest
+from termwise.renderer.jit import _imports, closure_digest
 
 pytestmark = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compilation is what is tested"
@@ -121,6 +121,16 @@ def test_digest_changes_with_what_a_module_reaches_and_nothing_else(copy):
     after = run(copy, code.replace("{0!r}", repr(modules))).split()
     changed = {name for name, a, b in zip(modules.split(), before, after, strict=True) if a != b}
     assert changed == {"sky", "terms.specular"}
+
+
+def test_digest_covers_what_annotations_alone_name():
+    """A cached function keeps the layout of its arguments: the readers of materials, and the lights, know the scene."""
+    for name in ("material", "lights.point", "lights.face"):
+        reached, waiting = set(), {f"termwise.renderer.{name}"}
+        while waiting:
+            reached |= waiting
+            waiting = set().union(*(_imports(module)[1] for module in waiting)) - reached
+        assert {f"termwise.renderer.{each}" for each in ("arrays", "surface", "lights.face")} <= reached
 
 
 def test_digest_covers_transitive_imports():

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from termwise.renderer import VARIANTS, Engine, Variant, find
-from termwise.renderer.openness import open_sides
 from termwise.renderer.plan import SKIPS, may_see, plan
+from termwise.renderer.unoccluded import open_sides
 from termwise.scenes.analytic import disc_over_plane, furnace, plate
 from termwise.scenes.load import library, load
 from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky, Toggles

@@ -15,7 +15,7 @@ from termwise.renderer.geometry import bvh, simd, traverse, wide
 from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
 from termwise.renderer.geometry.few import DOUBT, HIT, MISS, MOST, any_hit_of_few
 from termwise.renderer.geometry.intersect import NOTHING, FaceRange, make_ray
-from termwise.renderer.geometry.packets import new_group
+from termwise.renderer.geometry.packets import new_rays8
 from termwise.renderer.geometry.rays import any_hit, any_hits, closest_hit, closest_hits, reference_hits
 from termwise.renderer.vector import Vec3
 
@@ -32,8 +32,8 @@ def fast(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.nd
         np.empty(len(origins), np.int32),
         np.empty(len(origins), np.bool_),
     )
-    closest_hits(corners, tree, origins, directions, far, t, face, new_group())
-    any_hits(corners, tree, origins, directions, far, found, new_group())
+    closest_hits(corners, tree, origins, directions, far, t, face, new_rays8())
+    any_hits(corners, tree, origins, directions, far, found, new_rays8())
     return t, face, found
 
 
