@@ -36,7 +36,7 @@ def render(
     scene
         A name of the library or the path of a scene file.
     term
-        ambient, direct, specular or background; without it all four and their sum.
+        ambient, direct, specular or background; without it all of them and their sum.
     variant
         An estimator of the term, its default if not given. Without --term: TERM=NAME, once for each term.
     samples
@@ -128,7 +128,7 @@ def reference(
     scene
         A name of the library or the path of a scene file.
     term
-        ambient, direct, specular or background; without it all four and their sum.
+        ambient, direct, specular or background; without it all of them and their sum.
     physical
         Full light transport, split by the lobe at the camera, instead of the paper's terms.
     spp

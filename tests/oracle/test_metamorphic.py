@@ -461,8 +461,7 @@ def test_the_written_total_is_the_sum_of_the_terms_to_the_bit(tmp_path, monkeypa
     for term, image in parts.items():
         assert image.any()
         np.testing.assert_array_equal(written[term], image.astype(np.float32))
-    a, d, s, b = (parts[term] for term in TERMS)
-    whole = ((a + d) + s) + b
-    np.testing.assert_array_equal(total(a, d, s, b), whole)
+    whole = functools.reduce(lambda left, right: left + right, parts.values())
+    np.testing.assert_array_equal(total(*parts.values()), whole)
     np.testing.assert_array_equal(written["total"], whole.astype(np.float32))
-    assert (whole != a + (d + (s + b))).any()
+    assert (whole != functools.reduce(lambda right, left: left + right, reversed(parts.values()))).any()

@@ -200,9 +200,12 @@ def test_an_unknown_term_has_no_rule(scene: Scene):
 
 
 def test_the_sum_is_a_left_fold_in_the_order_of_the_table():
-    a, b, c, d = np.random.default_rng(1).normal(size=(4, 1000))
-    assert TERMS == ("ambient", "direct", "specular", "background")
-    assert total(a, b, c, d).tobytes() == (((a + b) + c) + d).tobytes()
+    a, b, c, d, *others = np.random.default_rng(1).normal(size=(len(TERMS), 1000))
+    assert TERMS[:4] == ("ambient", "direct", "specular", "background")
+    whole = ((a + b) + c) + d
+    for each in others:
+        whole = whole + each
+    assert total(a, b, c, d, *others).tobytes() == whole.tobytes()
     with pytest.raises(ValueError, match="total of 3 images: allowed is one of each of ambient, direct"):
         total(a, b, c)
 
