@@ -27,9 +27,9 @@ from termwise.reports.jobs.desk import Desk
 from termwise.reports.jobs.executors import Executor
 from termwise.reports.machine import processor, versions
 from termwise.reports.progress import Report
-from termwise.reports.results import netcdf
 from termwise.reports.results import schema as stored
 from termwise.reports.results.schema import plain
+from termwise.reports.rows import images
 from termwise.reports.rows.described import describe, work
 from termwise.reports.rows.looks import Group, Source, exact_group, jobs, of_case
 from termwise.reports.rows.measurement import decided, tests_of, tile_maps
@@ -128,7 +128,7 @@ class _Run:
         self.study, self.scenes, self.desk = study, scenes, desk
         self.subjects = list(subjects(study, scenes))
         self.cases = list(exact.cases(study))
-        self.pictures = netcdf.Pictures(folder)
+        self.pictures = images.Pictures(folder)
         self.sources: dict[str, Source] = {}
         self.described: dict[str, Any] = {}
         self.groups: list[Group] = []
@@ -204,7 +204,7 @@ class _Run:
         source = Source(self.study, subject, self.desk, self.sources.get(subject.unchanged.name))
         measured = source.measure()
         made, checked = source.groups(measured), source.audits()
-        sweeps = [netcdf.sweep(cell) for cell in measured]
+        sweeps = [images.sweep(cell) for cell in measured]
         self.pictures.write(subject, measured, sweeps, *source.images(), source.objects, versions())
         found = source.extrapolations()
         self.sources[subject.scene.name] = source

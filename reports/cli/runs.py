@@ -63,8 +63,8 @@ def compare(
     json_
         Print results.json on standard output; no progress.
     """
-    from termwise.reports import pages as page
     from termwise.reports import run
+    from termwise.reports.pages import report as page
     from termwise.reports.study import study as studies
     from termwise.reports.study import subjects
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import jinja2
 
-from termwise.reports.pages import charts, copy_static, page_environment, render_page
+from termwise.reports.pages import charts
+from termwise.reports.pages.environment import copy_static, page_environment, render_page
 
 NAMES = ("terms", "rays", "scaling", "economies", "view")
 

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from termwise.reports.pages import WORDS, copy_static, page_environment, render_page
+from termwise.reports.pages.environment import WORDS, copy_static, page_environment, render_page
 from termwise.reports.results.diff import said
 from termwise.scenes.store import write_atomically
 

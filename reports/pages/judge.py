@@ -8,7 +8,8 @@ from urllib.parse import quote
 import numpy as np
 import xarray
 
-from termwise.reports.pages import WORDS, copy_static, p_maps, page_environment, pictures, render_page
+from termwise.reports.pages import pictures
+from termwise.reports.pages.environment import WORDS, copy_static, p_maps, page_environment, render_page
 from termwise.reports.statistics import verdict
 
 

@@ -1,23 +1,7 @@
-r"""Mathematics and sources of the Method page: LaTeX such as `L_o = L_{ambient} + \dots` becomes MathML.
-
-MathML needs neither network nor script. The equations of variants are the ones in `renderer.terms`.
-"""
-
-import re
-
-from latex2mathml.converter import convert
-from markupsafe import Markup
+"""Sources of the Method page; the equations of variants are the ones in `renderer.terms`."""
 
 from termwise.renderer.terms import VARIANTS
 from termwise.renderer.terms.variant import Variant
-
-# What the converter writes as it should not be set: the relation ~ is no identifier, and a function's name stands
-# apart from its argument.
-_REPAIRS = (
-    (re.compile(r"<mi>(?:&#x0007E;|~)</mi>"), "<mo>&#x0223C;</mo>"),
-    (re.compile(r"(</mi>|</msub>|</msup>)(?=<mi>cos</mi>)"), r'\1<mspace width="0.14em" />'),
-    (re.compile(r"<mi>(cos|sin|tan|max|min|erf)</mi>"), r'<mi>\1</mi><mspace width="0.14em" />'),
-)
 
 REFERENCES = (
     ("kajiya", "J. T. Kajiya. The rendering equation. SIGGRAPH 1986."),
@@ -90,23 +74,6 @@ REFERENCES = (
         "colorblind people. 2008.",
     ),
 )
-
-
-def mathml(latex: str, *, block: bool = False) -> Markup:
-    """MathML of a LaTeX formula, for a line of its own if `block`; ValueError if it is not understood.
-
-    The formula itself stays as its alternative text.
-    """
-    latex = str(latex).strip()
-    try:
-        markup = convert(latex, display="block" if block else "inline")
-    except Exception as error:  # the converter has a dozen kinds, without a common base
-        raise ValueError(
-            f"equation = {latex!r}: is not LaTeX that can be shown ({type(error).__name__})"
-        ) from None
-    for wrong, right in _REPAIRS:
-        markup = wrong.sub(right, markup)
-    return Markup(markup.replace("<math ", Markup('<math alttext="{}" ').format(latex), 1))
 
 
 def find(term: str, name: str) -> Variant | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import jinja2
 
-from termwise.reports.pages import page_environment, render_page
+from termwise.reports.pages.environment import page_environment, render_page
 
 _TEXT = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 

@@ -10,7 +10,8 @@ import jinja2
 import numpy as np
 from plotly.colors import sequential
 
-from termwise.reports.pages import copy_static, page_environment, pictures, render_page
+from termwise.reports.pages import pictures
+from termwise.reports.pages.environment import copy_static, page_environment, render_page
 
 NAMES = {"ours": "ours", "paper": "the paper’s code", "mitsuba": "Mitsuba"}
 

@@ -15,8 +15,7 @@ from termwise.renderer.tiles import Engine
 from termwise.reports.jobs.cells import Cell
 from termwise.reports.jobs.desk import Desk, Measured
 from termwise.reports.jobs.executors import Job
-from termwise.reports.results import netcdf
-from termwise.reports.rows import radii
+from termwise.reports.rows import images, radii
 from termwise.reports.rows.measurement import (
     Compare,
     Measurement,
@@ -262,7 +261,7 @@ class Source:
         """Whether a later look took more replicates."""
         return bool(self._factors)
 
-    def extend(self) -> tuple[list[Cell], list[netcdf.Sweep]]:
+    def extend(self) -> tuple[list[Cell], list[images.Sweep]]:
         """All replicates that the looks took: the references, and the cells at their last prefix, with their sweeps."""
         factors = self._factors
         self.rendered = self._with(
@@ -277,7 +276,7 @@ class Source:
             cell = self._cell(variant, factors.get(variant, 1))
             last = cell.images[:, -1:].copy()
             measured.append(attrs.evolve(cell, images=last, samples=cell.samples[-1:]))
-            sweeps.append(netcdf.sweep(cell))
+            sweeps.append(images.sweep(cell))
         return measured, sweeps
 
     def images(self) -> tuple[dict[Limit, np.ndarray], dict[Term, np.ndarray]]:

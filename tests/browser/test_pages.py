@@ -21,7 +21,7 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page
 from scipy import stats
 
-from termwise.reports import pages as page
+from termwise.reports.pages import report as page
 from termwise.reports.pages import single
 from termwise.reports.results import microscope
 from termwise.reports.results.exr import read_exr, write_exr

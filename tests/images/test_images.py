@@ -21,7 +21,8 @@ from PIL import Image
 
 from termwise.reports import run
 from termwise.reports.jobs import cells
-from termwise.reports.pages import p_maps, pictures
+from termwise.reports.pages import pictures
+from termwise.reports.pages.environment import p_maps
 from termwise.reports.results.exr import read_exr, write_exr
 from termwise.reports.rows import looks
 from termwise.reports.statistics import metrics

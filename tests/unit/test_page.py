@@ -17,10 +17,12 @@ from scipy import stats
 
 from termwise.renderer.scratch import COUNTERS
 from termwise.renderer.terms import VARIANTS
-from termwise.reports import pages as page
 from termwise.reports.jobs import cells
-from termwise.reports.pages import charts, digits, method, pictures
-from termwise.reports.results import netcdf
+from termwise.reports.pages import charts, digits, pictures
+from termwise.reports.pages import report as page
+from termwise.reports.pages.environment import sentence
+from termwise.reports.pages.mathml import mathml
+from termwise.reports.rows import images
 from termwise.scenes.limits import Limit
 
 VERDICTS = ["EQUIVALENT", "BIASED", "AS PREDICTED", "NOT AS PREDICTED", "UNDERPOWERED", "ABSENT", None]
@@ -554,7 +556,7 @@ def test_error_scale_ignores_a_firefly_and_survives_no_error():
 
 def test_sentence_stands_without_its_verdict_and_with_true_minus_signs():
     row = {"verdict": "BIASED", "sentence": "BIASED: luminance -0.12% [-0.2%, +0.1%], tile x 0-15"}
-    assert page._sentence(row) == "Luminance −0.12% [−0.2%, +0.1%], tile x 0-15"
+    assert sentence(row) == "Luminance −0.12% [−0.2%, +0.1%], tile x 0-15"
 
 
 def test_band_of_a_chart_is_drawn_where_it_is_given():
@@ -615,14 +617,14 @@ def test_formulas_of_all_variants_become_mathml_with_alternative_text():
     for table in VARIANTS.values():
         for variant in table.values():
             for latex in (variant.equation, variant.converges_to):
-                markup = method.mathml(latex)
+                markup = mathml(latex)
                 assert markup.startswith("<math ")
                 assert "\\" not in markup.split(">", 1)[1], f"not converted: {latex}"
 
 
 def test_a_formula_that_is_none_is_named():
     with pytest.raises(ValueError, match="is not LaTeX"):
-        method.mathml(r"\frac{1}{")
+        mathml(r"\frac{1}{")
 
 
 def luminance(colour: str) -> float:
@@ -669,7 +671,7 @@ def test_a_sweep_is_of_tiles_of_8_pixels_and_smaller_ones_at_the_border():
         0.0,
         "",
     )
-    swept = netcdf.sweep(cell)
+    swept = images.sweep(cell)
     assert swept.samples == (1, 2)
     assert swept.mean.shape == swept.variance.shape == (2, 2, 3)
     for row, column in np.ndindex(2, 3):

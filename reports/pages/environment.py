@@ -1,0 +1,125 @@
+"""What all pages share: templates and their filters, style and scripts, the colour and sign of each verdict."""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import plotly.offline
+import xarray
+from markupsafe import Markup, escape
+
+from termwise.reports.pages import charts, digits, pictures
+from termwise.reports.pages.mathml import mathml
+from termwise.reports.statistics import tiles
+from termwise.reports.statistics.replicates import TILE_SIDES
+from termwise.scenes.store import write_atomically
+
+_HERE = Path(__file__).parent
+
+WORDS = {
+    "BIASED": ("bad", "✕"),
+    "NOT AS PREDICTED": ("bad", "✕"),
+    "NO VERDICT": ("bad", "!"),
+    "UNDERPOWERED": ("open", "?"),
+    "EQUIVALENT": ("good", "✓"),
+    "AS PREDICTED": ("good", "✓"),
+    "ABSENT": ("none", "○"),
+    "NOT JUDGED": ("none", "·"),
+}
+"""Each verdict's colour class and sign, the gravest first; the word itself always stands beside them."""
+
+
+def p_maps(
+    dataset: xarray.Dataset, name: str, picture: Callable[[str, np.ndarray], str]
+) -> dict[int, dict[str, Any]]:
+    """Addresses and sizes of the maps of one cell's tiles by their side, drawn by `picture`; none for merged sizes."""
+    drawn = {}
+    for side in TILE_SIDES:
+        maps = {
+            each: dataset[f"tile_{each}_{side}"].values
+            for each in tiles.MAPS
+            if f"tile_{each}_{side}" in dataset
+        }
+        if maps and np.isfinite(maps["p"]).any():
+            size = dataset.sizes["y"], dataset.sizes["x"]
+            pixels = pictures.p_map(**maps, side=side, size=size)
+            address = picture(f"{name} p-map {side}", pixels)
+            drawn[side] = {"address": address, "height": pixels.shape[0], "width": pixels.shape[1]}
+    return drawn
+
+
+def word(row: dict[str, Any] | None) -> str:
+    """The verdict of a row, or that none is due."""
+    return (row or {}).get("verdict") or "NOT JUDGED"
+
+
+def sentence(row: dict[str, Any]) -> str:
+    """The row's sentence without the verdict that it opens with, which stands beside it."""
+    text = (row["sentence"] or "").removeprefix(f"{row['verdict']}: ")
+    text = re.sub(r"(?<!\w)-(?=\d)", digits.MINUS, text)
+    return text[:1].upper() + text[1:]
+
+
+def slug(text: str) -> str:
+    """A name that an address can hold."""
+    return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-")
+
+
+def page_environment() -> jinja2.Environment:
+    """The templates, with the filters that all of them share."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {}  # not sorted: terms and references have an order
+    for name in (
+        "percent",
+        "interval",
+        "two_digits",
+        "plus_minus",
+        "number",
+        "similarity",
+        "duration",
+        "setting",
+    ):
+        environment.filters[name] = getattr(digits, name)
+    environment.filters["math"] = mathml
+    environment.filters["equation"] = lambda latex: mathml(latex, block=True)
+    environment.filters["slug"] = slug
+    environment.filters["word"] = word
+    environment.filters["breakable"] = lambda name: escape(name).replace("_", Markup("_<wbr>"))
+    environment.filters["sentence"] = sentence
+    environment.filters["digest"] = lambda text: re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1…", text)
+    environment.globals["bar"] = _bar()
+    environment.globals["p_histograms"] = charts.p_histograms
+    environment.globals["tile_rule"] = tiles
+    return environment
+
+
+def _bar() -> str:
+    """The diverging scale as a CSS gradient."""
+    colours = pictures.diverge(np.linspace(-1.0, 1.0, 21), scale=1.0)
+    return "linear-gradient(to right, " + ", ".join(f"rgb({r} {g} {b})" for r, g, b in colours.tolist()) + ")"
+
+
+def render_page(environment: jinja2.Environment, template: str, path: Path, **values: Any) -> None:
+    """Write a page."""
+    text = environment.get_template(template).render(**values)
+    write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
+
+
+def copy_static(run: Path, *, charts: bool = True) -> None:
+    """Style and scripts, shared by all pages; plotly's only where there are charts."""
+    for path in sorted((_HERE / "static").iterdir()):
+        write_atomically(run / path.name, lambda temporary, path=path: shutil.copyfile(path, temporary))
+    if not charts:
+        return
+    script = run / "plotly.min.js"
+    write_atomically(script, lambda temporary: temporary.write_text(plotly.offline.get_plotlyjs(), "utf-8"))
