@@ -92,17 +92,13 @@ class SceneArrays(NamedTuple):
     skips: Skips
 
 
-# A chain of less throughput goes on with probability throughput / FAINT, at the throughput FAINT: unbiased, and 1.2 to
-# 1.6 times faster for `paper`, most of whose samples weigh next to nothing, at the same variance (three scenes).
-# Paths of direct light play by it too: with 1, 0.5, 0.25 and 0.05 the same error took 2.6 to 4.8, 1.2 to 1.6, 1.03 to
-# 1.14 and 1.05 to 1.12 times as long (three scenes).
+# A chain of less throughput goes on with probability throughput / FAINT, at the throughput FAINT: unbiased, and faster
+# where most samples weigh next to nothing. Paths of direct light play by it too.
 FAINT = 0.1
-# Emitters among which light sampling chooses by what they may send to the point. Two are the halves of a rectangle. The
-# choice looks at each: with 128 point lights strewn in the Cornell box a sample takes 3.5 times as long, with 512 ten
-# times, at 0.014 and 0.043 of the variance, which is 0.05 and 0.4 of the cost at equal error.
+# Emitters among which light sampling chooses by what they may send to the point. Two are the halves of a rectangle; the
+# choice looks at each, which costs too much among many.
 FEW_EMITTERS, MANY_EMITTERS = 2, 512
-# An estimate by photons costs what some 40 light samples do (Cornell box, 4 to 5 us); one light sample is the noisier
-# of the two: with 4 the same error takes 0.31 (one pass) to 0.64 of the time (8 passes), in two_cubes 0.42 to 0.83.
+# An estimate by photons costs what some 40 light samples do, and one light sample is the noisier of the two.
 LIGHT_SAMPLES = 4
 
 

@@ -36,13 +36,10 @@ from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE, TERMS, Term
 
 TILE = 32
-# Calls of a kernel, each for several tiles: one costs 25 to 60 µs, mostly Python's, which threads do not share. Of one
-# sample at 128 x 128 pixels, 3.2 ms on a thread, 2 threads with 2 parts each took 2.0 ms, with one part 1.85 ms; of 16
-# samples with 8 parts each 30.6 ms, with 2 parts 26.9 ms. Parts of much work stay many, so that none waits long for
-# another, nor who calls the work off.
+# Calls of a kernel, each for several tiles: one costs 25 to 60 µs, mostly Python's, which threads do not share.
+# Parts of much work stay many, so that none waits long for another, nor who calls the work off.
 _FEWEST_PARTS, _MOST_PARTS, _SAMPLES_A_PART = 1, 8, 2**16
-# Small images get smaller tiles, so many a thread at least that none waits long for the others: with one tile a second
-# core stood idle, and 32 x 32 and 8 x 8 pixels took 1.6 to 1.9 times as long on 2.
+# Small images get smaller tiles, so many a thread at least that none waits long for the others.
 _TILES_A_THREAD, _SMALLEST = 4, 4
 # Samples that share a map of a search for the k nearest at the vertices of a chain: its radius does not shrink.
 _CHAINS_A_MAP = 128

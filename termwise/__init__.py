@@ -30,6 +30,17 @@ _HOMES = {
 }
 
 
+_EXTRAS = {"numba": "render", "nicegui": "render", "mitsuba": "reference", "drjit": "reference"}
+
+
+def lacking(error: ModuleNotFoundError) -> str:
+    """What to install where a package that an extra brings is missing, in one line."""
+    extra = _EXTRAS.get(error.name or "")
+    return f"{error.name} is not installed" + (
+        f": pip install 'termwise[{extra}]' brings it" if extra else ""
+    )
+
+
 def __getattr__(name: str) -> Any:
     """Import what a public name stands for."""
     if name == "reference":
@@ -37,7 +48,10 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("termwise.reference")
     if name not in _HOMES:
         raise AttributeError(f"module 'termwise' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"termwise.{_HOMES[name]}"), name)
+    try:
+        value = getattr(importlib.import_module(f"termwise.{_HOMES[name]}"), name)
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"termwise.{name}: {lacking(error)}", name=error.name) from error
     globals()[name] = value
     return value
 

@@ -10,6 +10,7 @@ import sys
 
 import cyclopts
 
+from termwise import lacking
 from termwise.reports.cli import judging, measuring, places, rendering, runs, terminal
 
 
@@ -66,6 +67,9 @@ def main() -> None:
         terminal.fail(
             "interrupted: nothing is half-written; a study goes on from the replicates it has finished"
         )
+        status = 2
+    except ModuleNotFoundError as error:
+        terminal.fail(lacking(error))
         status = 2
     except OSError as error:
         # NumPy says how much of an array it wrote, without a file or a number for the error.

@@ -172,14 +172,28 @@ def judge(
     images, reference : (K, H, W, 3) and (R, H, W, 3) floating, or sequences of (H, W, 3)
         Independent replicates (own seed each), linear radiance in one unit. With `exact`, `reference` may
         be a single (H, W, 3) image.
-    exact, noiseless, names, reference_names, objects, object_names
-        As for `measure`; nothing is known of the seeds here, so replicates that are all the same image are
-        refused unless `noiseless`.
+    exact : bool
+        The reference has no noise.
+    noiseless : bool
+        The images may have no noise. Nothing is known of the seeds here, so replicates that are all the same
+        image are refused without it.
+    names, reference_names : sequence of str
+        What the replicates are called in warnings and messages; by default their numbers.
+    objects : (H, W) integer, optional
+        Index of the object that each pixel sees, -1 for none; each object is judged on its own too.
+    object_names : sequence of str
+        Names of those objects, by index.
+
+    Returns
+    -------
+    Verdict
+        The verdict, its sentence, and the numbers behind it.
 
     Raises
     ------
     ValueError
-        As `measure`.
+        Images of unequal size or too few, NaN in the reference, replicates that are the same image; the message says
+        which, and what is allowed.
     """
     if exact and isinstance(reference, np.ndarray) and reference.ndim == 3:
         reference = reference[None]

@@ -1,7 +1,4 @@
-"""README and manual: what they name exists, what they type can be typed, what they run runs.
-
-A block that is fenced as `python` in `docs/extending.md` is run; one that is fenced as `py` is only to be read.
-"""
+"""README and manual: what they name exists, what they type can be typed, what they run runs."""
 
 import importlib
 import os
