@@ -32,11 +32,11 @@ variants: .venv/.installed ## Every estimator of the paper against what it conve
 view: .venv/.installed ## All inputs on a local page, each term while it converges: SCENES=monkey OUT=out
 	@.venv/bin/termwise view $(firstword $(SCENES)) --out $(OUT)
 
-bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error, scaling, economies, view; OUT=out
+bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error, scaling, reductions, view; OUT=out
 	@.venv/bin/termwise bench rays --out $(OUT)
 	@.venv/bin/termwise bench terms --out $(OUT)
 	@.venv/bin/termwise bench scaling --out $(OUT)
-	@.venv/bin/termwise bench economies --out $(OUT)
+	@.venv/bin/termwise bench reductions --out $(OUT)
 	@.venv/bin/termwise bench view --out $(OUT)
 
 stress: .venv/.installed ## Exact properties under hostile input, beside the paper's code and Mitsuba; OUT=out

@@ -55,9 +55,7 @@ def choose(requested: str | None = None) -> Backend:
         raise ValueError(f"{source}: {requested!r} is not one of {', '.join(VARIANTS)}")
     native.preload()
     if native.lacks_libatomic():
-        raise BackendError(
-            "Mitsuba needs libatomic.so.1 (install libatomic1, on some systems called libatomic)"
-        )
+        raise BackendError("Mitsuba needs libatomic.so.1 (install libatomic1, on some systems called libatomic)")
     if requested == "scalar_rgb":
         return Backend("scalar_rgb", None, "asked for")
     if requested == "cuda_ad_rgb":
@@ -224,8 +222,7 @@ def main() -> None:
 
 def _fetch(*, llvm: bool) -> None:
     print(
-        f"termwise: fetching {'libatomic and LLVM' if llvm else 'libatomic'} into {native.fetched_folder()}",
-        flush=True,
+        f"termwise: fetching {'libatomic and LLVM' if llvm else 'libatomic'} into {native.fetched_folder()}", flush=True
     )
     try:
         native.fetch(llvm=llvm)

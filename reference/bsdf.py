@@ -51,12 +51,7 @@ class CookTorrance(mi.BSDF):
         bs.sampled_type = mi.UInt32(+self.m_components[0])
         bs.sampled_component = 0
         bs.pdf = self.pdf(ctx, si, bs.wo, active)
-        active = (
-            active
-            & (mi.Frame3f.cos_theta(si.wi) > 0.0)
-            & (mi.Frame3f.cos_theta(bs.wo) > 0.0)
-            & (bs.pdf > 0.0)
-        )
+        active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (mi.Frame3f.cos_theta(bs.wo) > 0.0) & (bs.pdf > 0.0)
         weight = self._factor * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(bs.wo, self._alpha)
         return bs, dr.select(active, weight, 0.0)
 

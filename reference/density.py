@@ -96,9 +96,7 @@ def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, rad
     return np.stack(sums, axis=-1) / shares[:, None]
 
 
-def same_surface(
-    faces: Faces, points: Points, point: np.ndarray, face: np.ndarray, radius: float
-) -> np.ndarray:
+def same_surface(faces: Faces, points: Points, point: np.ndarray, face: np.ndarray, radius: float) -> np.ndarray:
     """Whether photons on a face count at a point, by pairs of indices: see `scenes.limits.Kernel`."""
     its, normals = points.face[point], faces.normals[face]
     cosine = np.einsum("px,px->p", faces.normals[its], normals)
@@ -163,9 +161,7 @@ def by_nearest(faces: Faces, points: Points, photons: Photons, *, nearest: int, 
         size = max(1, _CANDIDATES // count)
         for start in range(0, len(waiting), size):
             block = waiting[start : start + size]
-            distance, photon = (
-                each.reshape(len(block), count) for each in tree.query(points.position[block], count)
-            )
+            distance, photon = (each.reshape(len(block), count) for each in tree.query(points.position[block], count))
             front = np.einsum("nkx,nx->nk", photons.direction[photon], normals[block]) > 0
             rank = np.cumsum(front, axis=1)
             chosen = front & (rank <= nearest)

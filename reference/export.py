@@ -24,7 +24,7 @@ SOURCES = (
     "rays.py",
     "prepare.py",
     "film.py",
-    "twin.py",
+    "kernel_reference.py",
     "density.py",
     "bsdf.py",
     "sky.py",
@@ -93,9 +93,7 @@ def export(
     renders = {}
     for name, limit in limits.items():
         served = reference.shared(scene, limit)
-        loaded.render(
-            attrs.asdict(served), spp=1, seed=0
-        )  # finds the path depth, which the description then holds
+        loaded.render(attrs.asdict(served), spp=1, seed=0)  # finds the path depth, which the description then holds
         renders[name] = {
             "limit": attrs.asdict(served),
             "part": reference.parts(served).index(limit.term),
@@ -103,9 +101,7 @@ def export(
             "spp": spp,
             "seeds": [reference.rng_seed(served, seed, number) for number in range(replicates)],
         }
-    versions = {
-        package: importlib.metadata.version(package) for package in ("mitsuba", "drjit", "numpy", "scipy")
-    }
+    versions = {package: importlib.metadata.version(package) for package in ("mitsuba", "drjit", "numpy", "scipy")}
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
         written = Path(temporary) / folder.name

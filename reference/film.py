@@ -20,11 +20,7 @@ from .terms import ambient, direct
 def serves(loaded: Any, limit: dict[str, Any]) -> bool:
     """Whether the limit is a built-in integrator's, in a scalar variant and with positions that the film can take."""
     description = loaded.description
-    if (
-        dr.is_jit_v(mi.Float)
-        or limit["transport"] == "physical"
-        or description["camera"]["pixel"] != "jitter"
-    ):
+    if dr.is_jit_v(mi.Float) or limit["transport"] == "physical" or description["camera"]["pixel"] != "jitter":
         return False
     if limit["term"] == "ambient":
         return ambient.built_in(loaded, limit)

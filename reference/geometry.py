@@ -32,14 +32,10 @@ class Geometry(NamedTuple):
 def geometry(scene: Scene) -> Geometry:
     """First hits of the rays through the pixel centres, by Mitsuba."""
     width, height = scene.resolution
-    film = np.stack(
-        np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height), axis=-1
-    )
+    film = np.stack(np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height), axis=-1)
     directions = scene.camera.rays(film, aspect=scene.aspect)
     hits = first_hits(
-        scene,
-        np.broadcast_to(scene.camera.position, directions.shape).reshape(-1, 3),
-        directions.reshape(-1, 3),
+        scene, np.broadcast_to(scene.camera.position, directions.shape).reshape(-1, 3), directions.reshape(-1, 3)
     )
     return Geometry(*(array.reshape(height, width, *array.shape[1:]) for array in hits))
 

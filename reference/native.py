@@ -46,9 +46,7 @@ def llvm_version(library: Path) -> tuple[int, ...]:
 
     `libLLVM-15.so.1` is 15 (the 1 counts binary interfaces), `libLLVM.so.19.1` is 19.1.
     """
-    match = re.fullmatch(
-        r"libLLVM-(\d[\d.]*?)\.(?:so|dylib).*|libLLVM\.so\.(\d[\d.]*)", library.resolve().name
-    )
+    match = re.fullmatch(r"libLLVM-(\d[\d.]*?)\.(?:so|dylib).*|libLLVM\.so\.(\d[\d.]*)", library.resolve().name)
     return tuple(int(part) for part in (match[1] or match[2]).split(".")) if match else ()
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from . import bsdf, film, physical, second, sky, twin
+from . import bsdf, film, kernel_reference, physical, second, sky
 from .wavefront import Estimator, pixel_means
 
 
@@ -49,7 +49,7 @@ class Loaded:
         return importlib.import_module(f".terms.{limit['term']}", __package__).estimator(self, limit)
 
     def render(self, limit: dict[str, Any], *, spp: int, seed: int, by_second: bool = False) -> np.ndarray:
-        """Mean images of a limit's parts, (P, H, W, 3) float64; see `wavefront.pixel_means`, with a kernel `twin`.
+        """Mean images of a limit's parts, (P, H, W, 3) float64; see `wavefront.pixel_means`, `kernel_reference`.
 
         `by_second`: by the second integrator of the limit, see `second`.
         """
@@ -57,7 +57,7 @@ class Loaded:
             estimate = second.estimator(self, limit)
             return pixel_means(estimate, self.description["camera"], spp=spp, seed=seed)
         if limit["kernel"] is not None:
-            return twin.render(self, limit, spp=spp, seed=seed)
+            return kernel_reference.render(self, limit, spp=spp, seed=seed)
         if film.serves(self, limit):
             return film.render(self, limit, spp=spp, seed=seed)
         return pixel_means(self.estimator(limit), self.description["camera"], spp=spp, seed=seed)

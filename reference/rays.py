@@ -27,9 +27,7 @@ def side(loaded: Any, si: Any) -> Any:
 def leave(loaded: Any, scene: Any, si: Any, ray: Any, active: Any) -> tuple[Any, Any]:
     """What a ray from `si`, a point of this very scene, meets; and the ray from behind the last face that it passes."""
     met = scene.ray_intersect(ray, active)
-    return (
-        (ray, met) if loaded.description["ignore"] == "face" else _through(scene, si.shape, ray, met, active)
-    )
+    return (ray, met) if loaded.description["ignore"] == "face" else _through(scene, si.shape, ray, met, active)
 
 
 def blocked(loaded: Any, scene: Any, si: Any, ray: Any, active: Any) -> Any:

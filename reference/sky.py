@@ -28,10 +28,7 @@ class Lookup:
         self._width = dr.opaque(mi.Float, texels.shape[1])
         # Without `use_accel=False` a GPU would interpolate with 8-bit weights.
         self._texture = mi.Texture2f(
-            mi.TensorXf(padded),
-            use_accel=False,
-            filter_mode=dr.FilterMode.Linear,
-            wrap_mode=dr.WrapMode.Clamp,
+            mi.TensorXf(padded), use_accel=False, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp
         )
 
     def __call__(self, normal: Any, active: Any = True) -> Any:

@@ -123,18 +123,12 @@ def replicates(
     budget_s : seconds that the replicates of one render may take without a vectorising backend, see `pace`.
     by_second : by the limit's second integrator, see `reference.has_second`.
     """
-    paced = pace(
-        scene, limit, spp=spp, seed=seed, count=count, folder=folder, budget_s=budget_s, by_second=by_second
-    )
+    paced = pace(scene, limit, spp=spp, seed=seed, count=count, folder=folder, budget_s=budget_s, by_second=by_second)
     for number in range(paced.count):
-        render_missing(
-            scene, limit, spp=paced.spp, seed=seed, number=number, folder=folder, by_second=by_second
-        )
+        render_missing(scene, limit, spp=paced.spp, seed=seed, number=number, folder=folder, by_second=by_second)
         if progress:
             progress()
-    found = kept(
-        scene, limit, spp=paced.spp, seed=seed, count=paced.count, folder=folder, by_second=by_second
-    )
+    found = kept(scene, limit, spp=paced.spp, seed=seed, count=paced.count, folder=folder, by_second=by_second)
     return found._replace(shortfall=paced.shortfall)
 
 
@@ -197,19 +191,11 @@ def _variant() -> str:
 
 
 def _render(
-    scene: Scene,
-    limit: Limit,
-    spp: int,
-    seed: int,
-    number: int,
-    paths: dict[Term, Path],
-    by_second: bool,
+    scene: Scene, limit: Limit, spp: int, seed: int, number: int, paths: dict[Term, Path], by_second: bool
 ) -> None:
     reference.compile_kernels(scene, limit, by_second=by_second)
     begin = time.perf_counter()
-    images = reference.replicate_parts(
-        scene, limit, spp=spp, seed=seed, replicate=number, by_second=by_second
-    )
+    images = reference.replicate_parts(scene, limit, spp=spp, seed=seed, replicate=number, by_second=by_second)
     seconds = (time.perf_counter() - begin) / len(images)
     for term, path in paths.items():
         buffer = io.BytesIO()

@@ -19,9 +19,7 @@ import numpy as np
 
 from termwise.scenes.model import Material, Mesh, Object, PointLight, Scene
 
-Role = Literal[
-    "color", "diffuse", "ambient", "direct", "specular", "physical-lights", "physical-sky", "physical"
-]
+Role = Literal["color", "diffuse", "ambient", "direct", "specular", "physical-lights", "physical-sky", "physical"]
 
 SIZE = 100.0  # the largest side of the canonical bounding box is in (SIZE / 2, SIZE]
 SMALLEST = 1e-3  # size of an object in a scene of extent 1
@@ -80,9 +78,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "normals": scene.normals,
         "max_bounces": scene.max_bounces if scene.toggles.reflections else 0,
         "has_lights": scene.has_lights,
-        "light_centres": [
-            [canonical.points(centre).tolist(), thing] for centre, thing in scene.light_centres
-        ],
+        "light_centres": [[canonical.points(centre).tolist(), thing] for centre, thing in scene.light_centres],
         "emission": [list(thing.emission) if scene.draw_lights else [0.0] * 3 for thing in scene.objects],
         "scenes": {role: _scene(scene, role, canonical) for role in get_args(Role)},
     }
@@ -141,12 +137,7 @@ def _bsdf(scene: Scene, material: Material, role: Role) -> dict[str, Any]:
     if role == "color":
         return {"type": "diffuse", "reflectance": _rgb(material.color)}
     gloss = scene.specular_weight(material)
-    lobe = {
-        "type": "cook_torrance",
-        "alpha": material.roughness,
-        "f0": list(material.f0),
-        "factor": gloss,
-    }
+    lobe = {"type": "cook_torrance", "alpha": material.roughness, "f0": list(material.f0), "factor": gloss}
     if role == "specular":
         return lobe if gloss > 0 else BLACK_BSDF
     if role in ("diffuse", "ambient", "direct") or gloss == 0:
@@ -192,9 +183,7 @@ def _sky_emitter(scene: Scene, canonical: Canonical) -> dict[str, Any]:
     if scene.sky.texture is None:
         return {"type": "constant", "radiance": _rgb(scene.sky.color)}
     low, high = scene.bounds()
-    corners = np.array(
-        [[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i, j, k in np.ndindex(2, 2, 2)]
-    )
+    corners = np.array([[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i, j, k in np.ndindex(2, 2, 2)])
     inside = np.vstack([corners, scene.camera.position])
     center, radius = canonical.points(scene.sky.center), scene.sky.radius * canonical.scale
     if math.isinf(radius) or np.linalg.norm(canonical.points(inside) - center, axis=1).max() >= radius:

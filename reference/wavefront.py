@@ -100,9 +100,7 @@ def _one_by_one(estimate: Estimator, camera: dict[str, Any], count: int, seed: i
     return np.array(sums).transpose(1, 0, 2)
 
 
-def camera_samples(
-    camera: dict[str, Any], pixel: Any, index: Any, count: Any, seed: Any, sampler: Any
-) -> Samples:
+def camera_samples(camera: dict[str, Any], pixel: Any, index: Any, count: Any, seed: Any, sampler: Any) -> Samples:
     """Ray `index` of `count` through each pixel (numbered row by row)."""
     width, height = camera["resolution"]
     row = pixel // dr.opaque(mi.UInt32, width)
@@ -111,9 +109,7 @@ def camera_samples(
     shift_u, shift_v = mi.sample_tea_32(shift_x, shift_y)
     shift_c, _ = mi.sample_tea_32(shift_u, shift_v)
     shifts = shift_u, shift_v, shift_c
-    u, v, choice = (
-        _unit((index * step + shift) & 0xFFFFFFFF) for step, shift in zip(STEPS, shifts, strict=True)
-    )
+    u, v, choice = (_unit((index * step + shift) & 0xFFFFFFFF) for step, shift in zip(STEPS, shifts, strict=True))
     if camera["pixel"] == "jitter":
         x = _fraction(mi.Float(index) / mi.Float(count) + _unit(shift_x))
         y = _fraction(mi.Float(index) * GOLDEN + _unit(shift_y))

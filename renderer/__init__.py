@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from termwise.renderer.engine import Engine, whole
 from termwise.renderer.photon_map import KEPT_BYTES
 from termwise.renderer.terms import DEFAULTS, VARIANTS, Chain, Variant, find
-from termwise.renderer.tiles import Engine, whole
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TermImage
 

@@ -31,10 +31,7 @@ def shares(tiles: list[Tile], one: np.ndarray, other: np.ndarray) -> np.ndarray:
     deviation = np.sqrt([square[t.y0 : t.y1, t.x0 : t.x1].mean() for t in tiles])
     pixels = np.array([(t.y1 - t.y0) * (t.x1 - t.x0) for t in tiles])
     quiet = np.array(
-        [
-            not square[max(0, t.y0 - SIDE) : t.y1 + SIDE, max(0, t.x0 - SIDE) : t.x1 + SIDE].any()
-            for t in tiles
-        ]
+        [not square[max(0, t.y0 - SIDE) : t.y1 + SIDE, max(0, t.x0 - SIDE) : t.x1 + SIDE].any() for t in tiles]
     )
     if quiet.all():
         return np.zeros(len(tiles))

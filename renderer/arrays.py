@@ -109,7 +109,7 @@ def light_samples(scene: Scene, without: Collection[str] = ()) -> int:
 
 
 def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
-    """Flatten a validated scene and build its tree; `without` names skips and economies that are not taken."""
+    """Flatten a validated scene and build its tree; `without` names skips and reductions that are not taken."""
     emitters = emitters_of(scene)
     return SceneArrays(
         triangles.from_scene(scene),
@@ -137,8 +137,7 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
 def _shadow_rule(scene: Scene) -> ShadowRule:
     centres = scene.light_centres if scene.shadows == "paper" else []
     return ShadowRule(
-        np.array([centre for centre, _ in centres]).reshape(-1, 3),
-        np.array([thing for _, thing in centres], np.int32),
+        np.array([centre for centre, _ in centres]).reshape(-1, 3), np.array([thing for _, thing in centres], np.int32)
     )
 
 

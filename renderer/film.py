@@ -31,51 +31,51 @@ class Tile(NamedTuple):
 
 @device
 def sampler_of(i: int, scratch: Scratch) -> Sampler:
-    """Randomness of sight i."""
+    """Randomness of primary hit i."""
     return Sampler(scratch.pixel[i], np.uint32(scratch.index[i]))
 
 
 @device
-def _first_of(sight: int, split: int) -> int:
-    return sight if sight < ALONE else ALONE + (sight - ALONE) * split
+def _first_of(hit: int, split: int) -> int:
+    return hit if hit < ALONE else ALONE + (hit - ALONE) * split
 
 
 @device
-def _sight_of(sample: int, split: int) -> int:
+def _primary_hit_of(sample: int, split: int) -> int:
     return sample if sample < ALONE else ALONE + (sample - ALONE) // split
 
 
 @device
-def sights_of(first: int, last: int, split: int) -> tuple[int, int]:
-    """Sights [begin, end) of the samples [first, last) of a pixel: one for each of ALONE, then one for `split`."""
-    return _sight_of(first, split), _sight_of(last - 1, split) + 1
+def primary_hits_of(first: int, last: int, split: int) -> tuple[int, int]:
+    """Primary hits [begin, end) of the samples [first, last) of a pixel: one each of ALONE, then one for `split`."""
+    return _primary_hit_of(first, split), _primary_hit_of(last - 1, split) + 1
 
 
 @device
-def samples_of(sight: int, split: int, first: int, last: int) -> tuple[int, int]:
-    """Samples [begin, end), among [first, last) of a pixel, that a sight is for."""
-    return max(first, _first_of(sight, split)), min(last, _first_of(sight + 1, split))
+def samples_of(hit: int, split: int, first: int, last: int) -> tuple[int, int]:
+    """Samples [begin, end), among [first, last) of a pixel, that a primary hit is for."""
+    return max(first, _first_of(hit, split)), min(last, _first_of(hit + 1, split))
 
 
 @device
 def most_of(last: int, split: int) -> int:
-    """The most samples that a sight of samples [0, last) is for."""
+    """The most samples that a primary hit of samples [0, last) is for."""
     return split if last > ALONE else 1
 
 
 class PrimaryHits(NamedTuple):
-    """The group of sights at hand, and where it stands in the work.
+    """The group of primary hits at hand, and where it stands in the work.
 
     Work is (N, 7) int64, a row `(x0, y0, x1, y1, first, last, split)`: the samples [first, last) of a tile's pixels,
     `split` of which share a camera ray. Many small tiles take one call of a kernel.
 
     Attributes
     ----------
-    count : how many, those of `scratch.sights`; 0 where there are no more.
+    count : how many, those of `scratch.primary`; 0 where there are no more.
     y : their row of the image; a group has no second one.
     ends_row : whether they are the last ones of their row of the tile.
     first, last, split : of the item.
-    item, x, index : of the next sight.
+    item, x, index : of the next primary hit.
     """
 
     count: int
@@ -96,14 +96,12 @@ def no_hits() -> PrimaryHits:
 
 
 @device
-def next_hits(
-    scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: PrimaryHits, scratch: Scratch
-) -> PrimaryHits:
-    """Fill `scratch.sights` with the next 8 of the work, or what is left of a row, pixel by pixel.
+def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: PrimaryHits, scratch: Scratch) -> PrimaryHits:
+    """Fill `scratch.primary` with the next 8 of the work, or what is left of a row, pixel by pixel.
 
-    A sight is what one camera ray sees, for `split` samples. Those of one pixel, or of a few beside each other, go the
-    same way: they make a packet (20 ns a ray in place of 87 singly, in the Cornell box). Rays through one point of
-    their pixel are one ray, traced for its first sight alone. What another term has traced is taken from
+    A primary hit is what one camera ray meets, for `split` samples. Rays of one pixel, or of a few side by side, go
+    the same way: they make a packet (20 ns a ray in place of 87 singly, in the Cornell box). Rays through one point of
+    their pixel are one ray, traced for its first primary hit alone. What another term has traced is taken from
     `scratch.seen`.
 
     A driver calls it in one place, in a loop that has no end, and leaves at `count` 0. As the condition of a `while` it
@@ -119,9 +117,9 @@ def next_hits(
                 return PrimaryHits(0, y, True, first, last, split, item, x, index)
             y, first, last, split = work[item, 1], work[item, 4], work[item, 5], work[item, 6]
         x = work[item, 0]
-        index, _ = sights_of(first, last, split)
+        index, _ = primary_hits_of(first, last, split)
     x1 = work[item, 2]
-    begin, end = sights_of(first, last, split)
+    begin, end = primary_hits_of(first, last, split)
     count = min(SIZE, (x1 - x) * (end - begin) - (index - begin))
     # The key of all randomness of a pixel.
     pixel = fold(key, y * scene.camera.width + x)
@@ -149,49 +147,49 @@ def next_hits(
 
 @device
 def _look(scene: SceneArrays, y: int, begin: int, count: int, scratch: Scratch) -> None:
-    """Trace the first `count` sights of row y, `begin` being the first of a pixel, and keep those there is room for."""
-    sights, camera = scratch.sights, scene.camera
+    """Trace the first `count` primary hits of row y, from a pixel's `begin` on, and keep those there is room for."""
+    primary, camera = scratch.primary, scene.camera
     # Loops of their own: what hashes and maps eight points is vectorised.
     for i in range(count):
         scratch.u[i], scratch.v[i] = point_in_pixel(camera, sampler_of(i, scratch))
     for i in range(count):
         direction = direction_through(camera, scratch.x[i] + scratch.u[i], y + scratch.v[i])
-        put_column(sights.directions, i, direction)
+        put_column(primary.directions, i, direction)
     for i in range(count):
-        put_ray(sights, i, camera.position, column(sights.directions, i))
+        put_ray(primary, i, camera.position, column(primary.directions, i))
     if camera.rule == JITTER or not scene.skips.pixel:
-        trace_group(scene, sights, count, scratch)
+        trace_group(scene, primary, count, scratch)
     else:
         for i in range(count):
             if scratch.index[i] == begin:
-                ray = make_ray(camera.position, column(sights.directions, i))
-                put_hit(sights, i, closest(scene, ray, math.inf, -1, scratch))
+                ray = make_ray(camera.position, column(primary.directions, i))
+                put_hit(primary, i, closest(scene, ray, math.inf, -1, scratch))
             else:
-                # Before sight 0 comes the last one of the 8 before.
-                put_hit(sights, i, hit_of(sights, (i - 1) % SIZE))
+                # Before primary hit 0 comes the last one of the 8 before.
+                put_hit(primary, i, hit_of(primary, (i - 1) % SIZE))
     seen = scratch.seen
     for i in range(count):
         x, index = scratch.x[i], scratch.index[i]
         if index < seen.face.shape[1] and index == seen.known[y, x]:
-            seen.face[y, index, x] = sights.face[i]
-            seen.ray[y, index, x, 0] = sights.b1[i]
-            seen.ray[y, index, x, 1] = sights.b2[i]
+            seen.face[y, index, x] = primary.face[i]
+            seen.ray[y, index, x, 0] = primary.b1[i]
+            seen.ray[y, index, x, 1] = primary.b2[i]
             for axis in range(3):
-                seen.ray[y, index, x, 2 + axis] = sights.directions[axis, i]
+                seen.ray[y, index, x, 2 + axis] = primary.directions[axis, i]
             seen.known[y, x] += 1
 
 
 @device
 def _recall(scene: SceneArrays, y: int, i: int, scratch: Scratch) -> None:
-    """Take sight i of row y from those that are kept."""
-    sights, seen = scratch.sights, scratch.seen
+    """Take primary hit i of row y from those that are kept."""
+    primary, seen = scratch.primary, scratch.seen
     x, index = scratch.x[i], scratch.index[i]
     ray = seen.ray[y, index]
-    put_ray(sights, i, scene.camera.position, Vec3(ray[x, 2], ray[x, 3], ray[x, 4]))
-    # Nothing asks for the distance of a sight.
-    sights.face[i] = seen.face[y, index, x]
-    sights.b1[i] = ray[x, 0]
-    sights.b2[i] = ray[x, 1]
+    put_ray(primary, i, scene.camera.position, Vec3(ray[x, 2], ray[x, 3], ray[x, 4]))
+    # Nothing asks for the distance of a primary hit.
+    primary.face[i] = seen.face[y, index, x]
+    primary.b1[i] = ray[x, 0]
+    primary.b2[i] = ray[x, 1]
 
 
 @device
@@ -204,14 +202,7 @@ def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
 
 @device
 def resolve_occlusion(
-    scene: SceneArrays,
-    waiting: int,
-    asking: int,
-    far: float,
-    coherent: bool,
-    y: int,
-    out: np.ndarray,
-    scratch: Scratch,
+    scene: SceneArrays, waiting: int, asking: int, far: float, coherent: bool, y: int, out: np.ndarray, scratch: Scratch
 ) -> None:
     """Add the first `waiting` samples of a row to their pixels, in order; the first `asking` rays may hide theirs.
 

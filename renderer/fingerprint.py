@@ -22,9 +22,7 @@ import numpy as np
 
 from termwise.scenes.store import ROOT, sources_digest
 
-_INSTALLED = tuple(
-    Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib", "purelib", "platlib")
-)
+_INSTALLED = tuple(Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib", "purelib", "platlib"))
 _OURS = "renderer", "reference", "scenes", "reports"
 _PLAIN = (int, float, complex, str, bytes, type(None), type(...))
 

@@ -60,9 +60,7 @@ def same_surface(
 
 
 @device
-def kernel_mass(
-    scene: SceneArrays, face: int, x: Vec3, radius: float, exponent: int, stack: np.ndarray
-) -> float:
+def kernel_mass(scene: SceneArrays, face: int, x: Vec3, radius: float, exponent: int, stack: np.ndarray) -> float:
     """Mass of the kernel at x, a point of `face`, on all faces whose photons count there."""
     geometry = scene.geometry
     tree = geometry.tree

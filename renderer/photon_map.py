@@ -80,14 +80,7 @@ def _bounds(position: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
 
 @kernel
 def _sort(
-    position: np.ndarray,
-    low: Vec3,
-    cell: float,
-    nx: int,
-    ny: int,
-    nz: int,
-    start: np.ndarray,
-    order: np.ndarray,
+    position: np.ndarray, low: Vec3, cell: float, nx: int, ny: int, nz: int, start: np.ndarray, order: np.ndarray
 ) -> None:
     """Counting sort by cell; photons of one cell keep their order, so the sum over them has one order too."""
     photons = len(position)

@@ -49,9 +49,7 @@ def nearest_irradiance(
             ):
                 row = (np.int64(cz) * photons.ny + cy) * photons.nx
                 begin = photons.start[row + cell_index(x.x - radius, photons.low.x, photons.cell, photons.nx)]
-                end = photons.start[
-                    row + cell_index(x.x + radius, photons.low.x, photons.cell, photons.nx) + 1
-                ]
+                end = photons.start[row + cell_index(x.x + radius, photons.low.x, photons.cell, photons.nx) + 1]
                 for p in range(begin, end):
                     dx = photons.position[p, 0] - x.x
                     dy = photons.position[p, 1] - x.y

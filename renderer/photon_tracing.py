@@ -28,21 +28,8 @@ from termwise.renderer.rng import fold, stream
 from termwise.renderer.scratch import PHOTONS, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
 from termwise.renderer.surface import Surface, trace
-from termwise.renderer.vector import (
-    Vec3,
-    dot,
-    frame,
-    is_black,
-    max_component,
-    mul,
-    scale,
-    to_local,
-    to_world,
-    vec3,
-)
-from termwise.renderer.warp import (
-    square_to_cosine_hemisphere,
-)
+from termwise.renderer.vector import Vec3, dot, frame, is_black, max_component, mul, scale, to_local, to_world, vec3
+from termwise.renderer.warp import square_to_cosine_hemisphere
 
 # Below 1, so that a path in a closed box of albedo 1 ends; 1 / P keeps the mean.
 MAX_SURVIVAL = 0.99

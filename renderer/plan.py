@@ -2,7 +2,7 @@
 
 Two kinds of saving, never mixed. A **skip** is work that cannot contribute: the image is the same to the byte without
 it. Each is a row of SKIPS and can be switched off (`Engine(scene, without=...)`), which is how the tests prove it. An
-**economy** takes fewer samples for the same expectation. A **reuse** takes a result that exists.
+**reduction** takes fewer samples for the same expectation. A **reuse** takes a result that exists.
 """
 
 import functools
@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of, light_samples
-from termwise.renderer.film import ALONE, sights_of
+from termwise.renderer.film import ALONE, primary_hits_of
 from termwise.renderer.photon_map import KEPT_BYTES
 from termwise.renderer.scratch import SEEN_BYTES
 from termwise.renderer.terms import VARIANTS
@@ -24,7 +24,7 @@ from termwise.renderer.unoccluded import open_sides
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE, TERMS, Term, first
 
-Kind = Literal["runs", "skip", "economy", "reuse"]
+Kind = Literal["runs", "skip", "variance reduction", "reuse"]
 
 
 @attrs.frozen
@@ -45,7 +45,7 @@ class Skip:
 
 
 @attrs.frozen
-class Economy(Skip):
+class Reduction(Skip):
     """Fewer samples, or better ones, for the same expectation; `why` it is the same."""
 
 
@@ -91,14 +91,11 @@ def check(scene: Scene, variant: Variant, *, chain: Chain = "next-event") -> Non
         raise ValueError(f"chain = {chain!r}: allowed are {', '.join(get_args(Chain))}")
     scattering = scene.photons.scattering
     if scattering == "full" and scene.shadows == "paper":
-        raise ValueError(
-            f"{scene.name}: photons.scattering = 'full': allowed is 'diffuse' with shadows = 'paper'"
-        )
+        raise ValueError(f"{scene.name}: photons.scattering = 'full': allowed is 'diffuse' with shadows = 'paper'")
     if scattering not in variant.scatterings:
         allowed = " or ".join(map(repr, variant.scatterings))
         raise ValueError(
-            f"{scene.name}: photons.scattering = {scattering!r}: allowed is {allowed} for {variant.term} "
-            f"{variant.name}"
+            f"{scene.name}: photons.scattering = {scattering!r}: allowed is {allowed} for {variant.term} {variant.name}"
         )
     # Radiance that leaves a back as if it were the front has no flux that photons could carry.
     if scene.normals == "face" and variant.photons(scene, chain):
@@ -108,9 +105,7 @@ def check(scene: Scene, variant: Variant, *, chain: Chain = "next-event") -> Non
         )
 
 
-def needs_photons(
-    scene: Scene, variant: Variant, chain: Chain, *, without: Collection[str] = ()
-) -> Stored | None:
+def needs_photons(scene: Scene, variant: Variant, chain: Chain, *, without: Collection[str] = ()) -> Stored | None:
     """Which photons the maps of a variant hold; None where no map is needed."""
     needed = "photons" in without or skipped(scene, "direct") is None
     return variant.photons(scene, chain) if needed else None
@@ -190,12 +185,7 @@ def _samples_lights(variant: Variant, chain: Chain) -> bool:
 def _black(scene: Scene, variant: Variant, chain: Chain) -> list[str]:
     # What a chain meets has both terms.
     asked = [each.term for each in _estimators(variant, chain) if each.term in ("ambient", "direct")]
-    return [
-        thing.name
-        for term in asked[-1:]
-        for thing in scene.objects
-        if not TABLE[term].has(scene, thing.surface)
-    ]
+    return [thing.name for term in asked[-1:] for thing in scene.objects if not TABLE[term].has(scene, thing.surface)]
 
 
 def _open(scene: Scene) -> list[str]:
@@ -227,8 +217,7 @@ def _texture(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     if not TABLE[variant.term].sky:
         return None
     return first(
-        (scene.sky.texture is None, "the sky is a constant"),
-        (scene.sky.is_black, "every texel of the sky is black"),
+        (scene.sky.texture is None, "the sky is a constant"), (scene.sky.is_black, "every texel of the sky is black")
     )
 
 
@@ -281,9 +270,7 @@ SKIPS: dict[str, Skip] = {
             "a weight that is 0 everywhere",
             lambda scene, variant, chain: skipped(scene, variant.term),
         ),
-        Skip(
-            "photons", "photon maps", "no photon, or none that a surface would scatter to the camera", _maps
-        ),
+        Skip("photons", "photon maps", "no photon, or none that a surface would scatter to the camera", _maps),
         Skip(
             "window",
             "pixels without an object that has the term",
@@ -338,20 +325,13 @@ def _splitting(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     return None
 
 
-ECONOMIES: dict[str, Economy] = {
-    economy.name: economy
-    for economy in (
-        Economy(
-            "aimed", "photons that meet nothing", "those in the cone around the scene carry its flux", _aimed
-        ),
-        Economy("lights", "samples of far lights", "each is as likely as its light at the point", _lights),
-        Economy(
-            "splitting",
-            "camera rays",
-            "each sample's point is as likely as with a ray of its own",
-            _splitting,
-        ),
-        Economy("roulette", "faint chains", "those that go on carry the light of all", _roulette),
+REDUCTIONS: dict[str, Reduction] = {
+    reduction.name: reduction
+    for reduction in (
+        Reduction("aimed", "photons that meet nothing", "those in the cone around the scene carry its flux", _aimed),
+        Reduction("lights", "samples of far lights", "each is as likely as its light at the point", _lights),
+        Reduction("splitting", "camera rays", "each sample's point is as likely as with a ray of its own", _splitting),
+        Reduction("roulette", "faint chains", "those that go on carry the light of all", _roulette),
     )
 }
 
@@ -371,11 +351,7 @@ def plan(
     (`renderer.render_terms`).
     """
     counts = samples if isinstance(samples, dict) else dict.fromkeys(TERMS, samples)
-    steps = [
-        step
-        for term in TERMS
-        for step in _steps(scene, variants[term], chain, counts[term], frozenset(without))
-    ]
+    steps = [step for term in TERMS for step in _steps(scene, variants[term], chain, counts[term], frozenset(without))]
     if not together:
         return tuple(steps)
     steps = _with_shared_maps(scene, variants, chain, counts, steps, frozenset(without))
@@ -407,29 +383,25 @@ def _with_shared_maps(
 
 
 def _with_shared_rays(
-    scene: Scene,
-    variants: dict[Term, Variant],
-    counts: dict[Term, int],
-    steps: list[Step],
-    without: frozenset[str],
+    scene: Scene, variants: dict[Term, Variant], counts: dict[Term, int], steps: list[Step], without: frozenset[str]
 ) -> list[Step]:
     """The steps, those of camera rays that an earlier term has traced behind their kernels."""
     found: list[Step] = []
     before: list[str] = []
-    kept = 0  # sights of a pixel
+    kept = 0  # hits of a pixel
     room = KEPT_BYTES // (scene.resolution[0] * scene.resolution[1] * SEEN_BYTES)
     for step in steps:
         found.append(step)
         if not (step.work.startswith("kernel") and step.runs):
             continue
         split = 1 if "splitting" in without else variants[step.term].split(scene)
-        sights = sights_of(0, counts[step.term], split)[1]
-        if saved := min(kept, sights):
+        hits = primary_hits_of(0, counts[step.term], split)[1]
+        if saved := min(kept, hits):
             reason = f"those of {_names(before)}, as far as {KEPT_BYTES >> 20} MB hold them"
             rays = {"rays": saved * int(np.count_nonzero(may_see(scene, step.term)))}
             found.append(Step(step.term, "camera rays", "reuse", reason, rays, at_most=True))
         before.append(step.term)
-        kept = max(kept, min(sights, room))
+        kept = max(kept, min(hits, room))
     return found
 
 
@@ -447,14 +419,14 @@ def powers_of_two(samples: int) -> tuple[int, ...]:
 def camera_rays(samples: int, split: int) -> int:
     """Camera rays of a pixel, `split` samples to one, in all prefixes of a run."""
     parts = itertools.pairwise((0, *powers_of_two(samples)))
-    return sum(end - begin for begin, end in (sights_of(first, last, split) for first, last in parts))
+    return sum(end - begin for begin, end in (primary_hits_of(first, last, split) for first, last in parts))
 
 
 def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: frozenset[str]) -> list[Step]:
     term = variant.term
     pixels = scene.resolution[0] * scene.resolution[1]
     split = 1 if "splitting" in without else variant.split(scene)
-    sights = camera_rays(samples, split)
+    hits = camera_rays(samples, split)
     applied = {
         name: reason
         for name, skip in SKIPS.items()
@@ -462,28 +434,28 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
     }
     kernel = f"kernel {variant.estimator.name} ({variant.name})"
     if "term" in applied:
-        return [Step(term, kernel, "skip", applied["term"], {"rays": sights * pixels}, at_most=False)]
+        return [Step(term, kernel, "skip", applied["term"], {"rays": hits * pixels}, at_most=False)]
     steps = [Step(term, kernel, "runs", "the scene has this term")]
-    outside = sights * int(np.count_nonzero(~may_see(scene, term)))
+    outside = hits * int(np.count_nonzero(~may_see(scene, term)))
 
     def skip(name: str, work: str, *, at_most: bool = False, **saved: int) -> None:
         counts = {counter.replace("_", " "): count for counter, count in saved.items()}
         steps.append(Step(term, work, "skip", applied[name], counts, at_most))
 
-    if "splitting" not in without and (reason := ECONOMIES["splitting"].reason(scene, variant, chain)):
-        spared = (samples - sights) * pixels
+    if "splitting" not in without and (reason := REDUCTIONS["splitting"].reason(scene, variant, chain)):
+        spared = (samples - hits) * pixels
         if spared:
-            work = ECONOMIES["splitting"].work
-            steps.append(Step(term, work, "economy", reason, {"rays": spared}, at_most=True))
+            work = REDUCTIONS["splitting"].work
+            steps.append(Step(term, work, "variance reduction", reason, {"rays": spared}, at_most=True))
         elif split == 1:
             spared = (light_samples(scene) - 1) * samples * pixels
             counts = {"rays": spared, "density estimates": spared}
-            steps.append(Step(term, "estimates by photons", "economy", reason, counts, at_most=True))
+            steps.append(Step(term, "estimates by photons", "variance reduction", reason, counts, at_most=True))
     if "window" in applied:
         skip("window", "pixels without such objects", rays=outside)
     if "pixel" in applied:
         calls = 1 + (samples - 1).bit_length()  # of the kernel, one a prefix
-        skip("pixel", "a pixel's further camera rays", at_most=True, rays=(sights - calls) * pixels)
+        skip("pixel", "a pixel's further camera rays", at_most=True, rays=(hits - calls) * pixels)
     if term == "ambient":
         if "occlusion" in applied:
             skip("occlusion", "occlusion rays", at_most=True, occlusion_rays=samples * pixels)
@@ -503,9 +475,9 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
     elif stored:
         why = f"{emitted} photons a pass, {stored} kept, radius {scene.photons.radius:g} at first"
         steps.append(Step(term, "photon maps", "runs", why))
-        if "aimed" not in without and (reason := ECONOMIES["aimed"].reason(scene, variant, chain)):
+        if "aimed" not in without and (reason := REDUCTIONS["aimed"].reason(scene, variant, chain)):
             spared = samples * (scene.photons.count - emitted)
-            steps.append(Step(term, ECONOMIES["aimed"].work, "economy", reason, {"photons": spared}))
+            steps.append(Step(term, REDUCTIONS["aimed"].work, "variance reduction", reason, {"photons": spared}))
     elif term == "direct":
         steps.append(Step(term, "photon maps", "skip", variant.no_maps, {"photons": samples * emitted}))
     if TABLE[term].sky and not scene.sky.is_black:
@@ -516,6 +488,6 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
     if "throughput" in applied:
         skip("throughput", "black chains")
     for name in ("lights", "roulette"):
-        if name not in without and (reason := ECONOMIES[name].reason(scene, variant, chain)):
-            steps.append(Step(term, ECONOMIES[name].work, "economy", reason))
+        if name not in without and (reason := REDUCTIONS[name].reason(scene, variant, chain)):
+            steps.append(Step(term, REDUCTIONS[name].work, "variance reduction", reason))
     return steps

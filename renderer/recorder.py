@@ -22,17 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from termwise.renderer import (
-    camera,
-    film,
-    kernel_mass,
-    lights,
-    photon_map,
-    photon_search,
-    sobol,
-    surface,
-    warp,
-)
+from termwise.renderer import camera, film, kernel_mass, lights, photon_map, photon_search, sobol, surface, warp
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.jit import PACKAGE
 from termwise.renderer.microfacet import pdf_lobe
@@ -75,12 +65,7 @@ class Recorder:
             return
         first = int(self.scene.geometry.first[found.object])
         triangle = found.face - first
-        values = {
-            "position": found.point,
-            "normal": found.normal,
-            "object": found.object,
-            "triangle": triangle,
-        }
+        values = {"position": found.point, "normal": found.normal, "object": found.object, "triangle": triangle}
         before = len(self.events)
         self.note("vertex", **values)
         # A kernel may take the same vertex from its group of rays a second time.
@@ -168,9 +153,7 @@ class Recorder:
             photon, photons = caller.f_locals["p"], caller.f_locals["photons"]
             distance = photons.radius * math.sqrt(1.0 - given.rest)
             power = vec3(photons.power, photon)
-            self._gathered.append(
-                {"photon": photon, "distance": distance, "weight": weight, "flux": _plain(power)}
-            )
+            self._gathered.append({"photon": photon, "distance": distance, "weight": weight, "flux": _plain(power)})
 
     def kernel_mass(self, given: Any, mass: float, caller: FrameType) -> None:
         """What the kernel's integral over the surface is."""
@@ -189,20 +172,14 @@ class Recorder:
         """E by the k nearest photons."""
         nearest = sorted(zip(given.heap[: self._found], given.chosen[: self._found], strict=True))
         self._gathered = [
-            {
-                "photon": int(photon),
-                "distance": math.sqrt(square),
-                "flux": _plain(vec3(given.photons.power, photon)),
-            }
+            {"photon": int(photon), "distance": math.sqrt(square), "flux": _plain(vec3(given.photons.power, photon))}
             for square, photon in nearest
         ]
         radius = self._gathered[-1]["distance"] if nearest else 0.0
         self._photons(radius, irradiance)
 
     def _photons(self, radius: float, irradiance: Any, **values: Any) -> None:
-        flux = (
-            np.sum([photon["flux"] for photon in self._gathered], axis=0) if self._gathered else np.zeros(3)
-        )
+        flux = np.sum([photon["flux"] for photon in self._gathered], axis=0) if self._gathered else np.zeros(3)
         count, gathered = len(self._gathered), self._gathered
         self.note("photons", radius=radius, count=count, flux=flux, **values, irradiance=irradiance)
         self.events[-1]["gathered"] = gathered
@@ -211,9 +188,7 @@ class Recorder:
     def accumulate(self, given: Any, none: None, caller: FrameType) -> None:
         """What is added to the pixel."""
         throughput = caller.f_locals.get("throughput")
-        self.note(
-            "adds", **({} if throughput is None else {"throughput": throughput}), radiance=given.radiance
-        )
+        self.note("adds", **({} if throughput is None else {"throughput": throughput}), radiance=given.radiance)
 
 
 WATCHED: tuple[Callable[..., Any], ...] = (

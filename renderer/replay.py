@@ -21,12 +21,12 @@ from typing import Any
 import attrs
 import numpy as np
 
+from termwise.renderer.engine import Engine
 from termwise.renderer.plan import skipped
 from termwise.renderer.recorder import Event
 from termwise.renderer.scratch import Seen
 from termwise.renderer.terms import Chain, Variant
 from termwise.renderer.terms.estimator import Compiled
-from termwise.renderer.tiles import Engine
 from termwise.scenes.model import Scene
 
 TOLERATED_ULP = 16.0
@@ -84,11 +84,7 @@ class _Recorded(Engine):
             [sys.executable, "-m", "termwise.renderer.recorder"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={
-                **os.environ,
-                "NUMBA_DISABLE_JIT": "1",
-                "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-            },
+            env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )
         self._send((self.arrays, variant.term, variant.name))
 
@@ -162,11 +158,7 @@ def replay(
         A pixel outside of the image, an estimator in Python, and what `Engine.prefixes` refuses.
     """
     if not isinstance(variant.estimator, Compiled):
-        raise ValueError(
-            f"{variant.term} {variant.name}: is an estimator in Python: allowed are those of the renderer"
-        )
+        raise ValueError(f"{variant.term} {variant.name}: is an estimator in Python: allowed are those of the renderer")
     with _Recorded(scene, variant, (x, y)) as engine:
-        *_, (_, image, _) = engine.prefixes(
-            variant, samples=samples, seed=seed, replicate=replicate, chain=chain
-        )
+        *_, (_, image, _) = engine.prefixes(variant, samples=samples, seed=seed, replicate=replicate, chain=chain)
         return Replay(image[y, x], tuple(engine.samples), skipped(scene, variant.term))

@@ -23,7 +23,7 @@ class Seen(NamedTuple):
 
     Attributes
     ----------
-    known : (H, W) int32, how many sights of each pixel are kept, the first ones.
+    known : (H, W) int32, how many primary hits of each pixel are kept, the first ones.
     face : (H, S, W) int32, what each meets, -1 for nothing.
     ray : (H, S, W, 5) float64, where on that face it does, b1 and b2, and its direction.
     """
@@ -33,14 +33,14 @@ class Seen(NamedTuple):
     ray: np.ndarray
 
 
-def new_seen(height: int, width: int, sights: int) -> Seen:
-    """Make room for so many sights of each pixel; none is known yet."""
-    # What a row's sights write lies together: ambient's took 21 ns each, and 52 with those of a pixel together.
-    shape = height, sights, width
+def new_seen(height: int, width: int, hits: int) -> Seen:
+    """Make room for so many primary hits of each pixel; none is known yet."""
+    # What a row's primary hits write lies together: ambient's took 21 ns each, and 52 with those of a pixel together.
+    shape = height, hits, width
     return Seen(np.zeros((height, width), np.int32), np.empty(shape, np.int32), np.empty((*shape, 5)))
 
 
-SEEN_BYTES = 4 + 5 * 8  # of a sight
+SEEN_BYTES = 4 + 5 * 8  # of a primary hit
 NOTHING_SEEN = new_seen(0, 0, 0)
 
 
@@ -51,8 +51,8 @@ class Scratch(NamedTuple):
     ----------
     stack : int32, STACK_SIZE.
     counts : int64, one of each of COUNTERS, only ever added to.
-    sights : the rays through a pixel and what they see.
-    x, pixel, index : (8,) each, int64, uint64 and int64: of each sight the pixel's column, the key of the pixel's
+    primary : the rays through a pixel and what they meet.
+    x, pixel, index : (8,) each, int64, uint64 and int64: of each primary hit the pixel's column, the key of the pixel's
         randomness, and its number within the pixel.
     column : (8,) int64, the pixel's column of each sample that waits for its occlusion ray.
     radiance, hidden : (8, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
@@ -60,12 +60,12 @@ class Scratch(NamedTuple):
     key, sample : (8,) uint64 and uint32, the randomness of each occlusion ray.
     u, v : (8 LIGHT_SAMPLES,) float64 each, points of the unit square: of the camera rays, then of what leaves their
         hits.
-    seen : the sights that are kept, which all threads share.
+    seen : the primary hits that are kept, which all threads share.
     """
 
     stack: np.ndarray
     counts: np.ndarray
-    sights: Rays8
+    primary: Rays8
     x: np.ndarray
     pixel: np.ndarray
     index: np.ndarray

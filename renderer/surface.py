@@ -113,9 +113,7 @@ def shadowed(scene: SceneArrays, surface: Surface, scratch: Scratch) -> bool:
 
 
 @device
-def occluded(
-    scene: SceneArrays, surface: Surface, direction: Vec3, far: float, target: int, scratch: Scratch
-) -> bool:
+def occluded(scene: SceneArrays, surface: Surface, direction: Vec3, far: float, target: int, scratch: Scratch) -> bool:
     """Whether anything but face `target` lies nearer than `far` (in lengths of `direction`)."""
     geometry = scene.geometry
     ray = make_ray(surface.point, direction)
@@ -137,9 +135,7 @@ def put_ray(group: Rays8, i: int, origin: Vec3, direction: Vec3) -> None:
 
 
 @device
-def put_occlusion_ray(
-    scene: SceneArrays, group: Rays8, i: int, surface: Surface, direction: Vec3, target: int
-) -> None:
+def put_occlusion_ray(scene: SceneArrays, group: Rays8, i: int, surface: Surface, direction: Vec3, target: int) -> None:
     """Make ray i of a group one that leaves a surface; face `target` does not hide."""
     put_ray(group, i, surface.point, direction)
     ignore = _leaving(scene, surface.face)
@@ -154,9 +150,7 @@ def trace_group(scene: SceneArrays, group: Rays8, count: int, scratch: Scratch) 
     scratch.counts[RAYS] += count
     geometry = scene.geometry
     if scene.watertight:
-        rays.closest_hits_of_group(
-            geometry.corners, geometry.tree, group, count, math.inf, True, scratch.stack
-        )
+        rays.closest_hits_of_group(geometry.corners, geometry.tree, group, count, math.inf, True, scratch.stack)
         return
     for i in range(count):
         ray = make_ray(column(group.origins, i), column(group.directions, i))
@@ -171,9 +165,7 @@ def surface_of(scene: SceneArrays, group: Rays8, i: int) -> Surface:
 
 
 @device
-def occlude_group(
-    scene: SceneArrays, group: Rays8, count: int, far: float, coherent: bool, scratch: Scratch
-) -> None:
+def occlude_group(scene: SceneArrays, group: Rays8, count: int, far: float, coherent: bool, scratch: Scratch) -> None:
     """Which of the first `count` rays of a group are hidden: `group.found`, as `occluded` gives it."""
     scratch.counts[OCCLUSION_RAYS] += count
     geometry = scene.geometry

@@ -68,8 +68,7 @@ def judge(
     maps = None if statistics.absent else tiles.tile_maps(statistics)
     with np.errstate(invalid="ignore", over="ignore"):  # the verdict has named what is not finite
         ours, truth = (
-            TermImage.from_replicates(np.asarray(stack), samples=0, seconds=0.0)
-            for stack in (images, reference)
+            TermImage.from_replicates(np.asarray(stack), samples=0, seconds=0.0) for stack in (images, reference)
         )
         error = ours.mean - truth.mean
     black = not truth.mean.any()

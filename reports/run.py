@@ -56,12 +56,7 @@ def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
         variant,
         sources,
         versions(),
-        [
-            _fingerprint(term, name)
-            for term in TERMS
-            for name in study.variants_of(term)
-            if name in registered(term)
-        ],
+        [_fingerprint(term, name) for term in TERMS for name in study.variants_of(term) if name in registered(term)],
     )
     return hashlib.sha256(repr(settings).encode()).hexdigest()
 
@@ -222,9 +217,7 @@ class _Run:
         for scene, source in self.sources.items():
             if source.extended:
                 measured, sweeps = source.extend()
-                self.pictures.write(
-                    source.subject, measured, sweeps, *source.images(), source.objects, versions()
-                )
+                self.pictures.write(source.subject, measured, sweeps, *source.images(), source.objects, versions())
                 self.described[scene]["work"] = work(measured)
 
     def _certified(self, found: list[list[dict[str, Any]]], looks: int) -> dict[str, Any]:

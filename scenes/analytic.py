@@ -56,9 +56,7 @@ def sphere_inside(
     return Object(name, Mesh.from_arrays(sphere.vertices, sphere.faces[:, ::-1], smooth=smooth), material)
 
 
-def furnace(
-    *, roughness: float, mu_o: float, f0: float = 1.0, gloss: float = 1.0, color: float = 1.0
-) -> Scene:
+def furnace(*, roughness: float, mu_o: float, f0: float = 1.0, gloss: float = 1.0, color: float = 1.0) -> Scene:
     """A plate under a white sky and a white ambient light, seen at cosine `mu_o` of its normal.
 
     `L_specular = gloss S[1]`, where `S[1] = ∫ f mu_i dw` is the lobe's directional albedo: the whole hemisphere is 1.
@@ -96,9 +94,7 @@ def glossy_sphere(*, gloss: float, roughness: float, max_bounces: int, subdivisi
     )
 
 
-def disc_over_plane(
-    *, height: float, radius: float, sides: int = 64, occlusion_range: float = math.inf
-) -> Scene:
+def disc_over_plane(*, height: float, radius: float, sides: int = 64, occlusion_range: float = math.inf) -> Scene:
     """A disc parallel to a white plate, seen at the point below its centre.
 
     `AO = h² / (h² + R²)`; with a range r between h and the disc's rim `AO = h² / r²`, and 1 for r < h.

@@ -57,9 +57,7 @@ def load(scene: str | Path) -> Scene:
     """
     path = LIBRARY / f"{scene}.toml" if str(scene) in library() else Path(scene)
     if path.suffix != ".toml":
-        raise FileError(
-            f"{scene}: no such scene: allowed are {', '.join(library())} or a path that ends in .toml"
-        )
+        raise FileError(f"{scene}: no such scene: allowed are {', '.join(library())} or a path that ends in .toml")
     description = strict.read(path, _SceneFile, _converter)
     try:
         return description.build(path)

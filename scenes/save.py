@@ -46,9 +46,7 @@ def save(scene: Scene, path: Path) -> None:
     if sky := _sky(scene.sky, files):
         table["sky"] = sky
     table["objects"] = [_object(thing, number, files) for number, thing in enumerate(scene.objects)]
-    table["lights"] = [
-        {"position": list(light.position), "intensity": list(light.intensity)} for light in scene.lights
-    ]
+    table["lights"] = [{"position": list(light.position), "intensity": list(light.intensity)} for light in scene.lights]
     text = tomli_w.dumps({name: value for name, value in table.items() if value != []})
     write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
     assert load(path).digest() == scene.digest(), path

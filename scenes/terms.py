@@ -121,8 +121,7 @@ TABLE: dict[Term, TermRow] = {
             "ambient",
             weight=_ambient,
             absent=lambda scene: first(
-                (not any(scene.ambient.color), "the ambient light is black"),
-                (_without(scene, _ambient), _NO_DIFFUSE),
+                (not any(scene.ambient.color), "the ambient light is black"), (_without(scene, _ambient), _NO_DIFFUSE)
             ),
             reads=(
                 read("ambient.color", "ambient.range", "toggles.ambient_occlusion", "rings"),
@@ -162,17 +161,7 @@ TABLE: dict[Term, TermRow] = {
             scoped=True,
             meets=("ambient", "direct"),
             sky=True,
-            limit=(
-                "occluded",
-                "scope",
-                "lobe",
-                "diffuse",
-                "cosine",
-                "ambient",
-                "rings",
-                "kernel",
-                "shadows",
-            ),
+            limit=("occluded", "scope", "lobe", "diffuse", "cosine", "ambient", "rings", "kernel", "shadows"),
         ),
         TermRow(
             "background",
@@ -183,12 +172,7 @@ TABLE: dict[Term, TermRow] = {
                     "the sky is black and lights are not drawn",
                 )
             ),
-            reads=(
-                read("draw_lights"),
-                _SKY,
-                _EMITTERS,
-                read(*_LIGHTS, when=lambda scene: scene.draw_lights),
-            ),
+            reads=(read("draw_lights"), _SKY, _EMITTERS, read(*_LIGHTS, when=lambda scene: scene.draw_lights)),
             sky=True,
             beyond=lambda scene: (
                 BLACK if scene.sky.is_black else scene.sky.color if scene.sky.texture is None else None
@@ -252,11 +236,7 @@ class TermImage:
         """Mean and variance of the mean of `images` (K, H, W, 3), accumulated in float64."""
         count = len(images)
         mean = np.asarray(np.mean(images, axis=0, dtype=np.float64))
-        variance = (
-            np.var(images, axis=0, ddof=1, dtype=np.float64) / count
-            if count > 1
-            else np.full_like(mean, np.nan)
-        )
+        variance = np.var(images, axis=0, ddof=1, dtype=np.float64) / count if count > 1 else np.full_like(mean, np.nan)
         return cls(mean, variance, samples, count, seconds)
 
 

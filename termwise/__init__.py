@@ -36,9 +36,7 @@ _EXTRAS = {"numba": "render", "nicegui": "render", "mitsuba": "reference", "drji
 def lacking(error: ModuleNotFoundError) -> str:
     """What to install where a package that an extra brings is missing, in one line."""
     extra = _EXTRAS.get(error.name or "")
-    return f"{error.name} is not installed" + (
-        f": pip install 'termwise[{extra}]' brings it" if extra else ""
-    )
+    return f"{error.name} is not installed" + (f": pip install 'termwise[{extra}]' brings it" if extra else "")
 
 
 def __getattr__(name: str) -> Any:

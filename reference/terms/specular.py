@@ -18,7 +18,7 @@ from . import ambient, direct, shadows
 
 
 def estimator(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = ambient.RAYS) -> Estimator:
-    """Samples -> (specular term,); unbiased but for the depth of `direct`, which `twin` adds where it has a kernel."""
+    """Samples -> (specular term,); unbiased but for the depth of `direct`, which `kernel_reference` adds itself."""
     # What the other terms are does not vary with the specular variant.
     plain = limit | {"rings": None}
     terms = [(limit["ambient"], ambient.incoming(loaded, plain, occlusion_rays=occlusion_rays))]
@@ -116,9 +116,7 @@ def lobes(loaded: Any, limit: dict[str, Any]) -> Any:
         gloss = si.bsdf().eval_diffuse_reflectance(si, active)
         cosine = rays.side(loaded, si) * mi.warp.square_to_cosine_hemisphere(point)
         chosen = sampler.next_1d(active) < share
-        return dr.select(chosen, cosine, wo), dr.select(
-            chosen, gloss * (diffuse / share), weight / (1.0 - share)
-        )
+        return dr.select(chosen, cosine, wo), dr.select(chosen, gloss * (diffuse / share), weight / (1.0 - share))
 
     def on_rings(si: Any, point: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         local = ambient.ring_direction(point, limit["rings"])

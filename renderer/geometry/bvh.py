@@ -158,12 +158,7 @@ def _build(
         count[node] = 0
         # The left child is pushed last, hence made next: preorder.
         stack[size, 0], stack[size, 1], stack[size, 2], stack[size, 3] = split, end, node, depth + 1
-        stack[size + 1, 0], stack[size + 1, 1], stack[size + 1, 2], stack[size + 1, 3] = (
-            begin,
-            split,
-            -1,
-            depth + 1,
-        )
+        stack[size + 1, 0], stack[size + 1, 1], stack[size + 1, 2], stack[size + 1, 3] = (begin, split, -1, depth + 1)
         size += 2
     return nodes
 

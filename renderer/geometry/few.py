@@ -132,12 +132,7 @@ def query(few: TriangleList, ray: Ray, far: float) -> Query:
 
 @device
 def put_queries(
-    few: TriangleList,
-    origins: np.ndarray,
-    directions: np.ndarray,
-    far: float,
-    numbers: np.ndarray,
-    axes: np.ndarray,
+    few: TriangleList, origins: np.ndarray, directions: np.ndarray, far: float, numbers: np.ndarray, axes: np.ndarray
 ) -> None:
     """Prepare eight rays (3, 8) in as many lanes, as `query` does; `numbers` (10, 8) and `axes` (3, 8) hold them."""
     o, d, scale = rows(origins), rows(directions), splat(few.scale, 8)

@@ -88,15 +88,7 @@ def make_ray(origin: Vec3, direction: Vec3) -> Ray:
     dz = component(direction, kz)
     inverse = Vec3(reciprocal(direction.x), reciprocal(direction.y), reciprocal(direction.z))
     return Ray(
-        origin,
-        direction,
-        inverse,
-        kx,
-        ky,
-        kz,
-        component(direction, kx) / dz,
-        component(direction, ky) / dz,
-        1.0 / dz,
+        origin, direction, inverse, kx, ky, kz, component(direction, kx) / dz, component(direction, ky) / dz, 1.0 / dz
     )
 
 

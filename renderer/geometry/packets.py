@@ -305,16 +305,8 @@ def _cut_boxes(nodes: np.ndarray, node: int, p: Packet, f: Frustum, reach: int) 
     return _cut(
         p,
         f,
-        (
-            load(nodes, low + p.shear.kx, 8),
-            load(nodes, low + p.shear.ky, 8),
-            load(nodes, low + p.shear.kz, 8),
-        ),
-        (
-            load(nodes, high + p.shear.kx, 8),
-            load(nodes, high + p.shear.ky, 8),
-            load(nodes, high + p.shear.kz, 8),
-        ),
+        (load(nodes, low + p.shear.kx, 8), load(nodes, low + p.shear.ky, 8), load(nodes, low + p.shear.kz, 8)),
+        (load(nodes, high + p.shear.kx, 8), load(nodes, high + p.shear.ky, 8), load(nodes, high + p.shear.kz, 8)),
         splat(np.float32(0.0), 8),
         reach,
     )
@@ -842,9 +834,7 @@ def closest_hits_of_bundle(wide: Bvh8, group: Rays8, count: int, far: float, sta
         while size > 0 and active == 0:
             size -= 1
             key = entry(stack, KEYS + size)
-            active = entry(stack, size) & bits(
-                splat(np.int32(key), 8) & splat(DISTANCE_BITS, 8) <= as_int(reach)
-            )
+            active = entry(stack, size) & bits(splat(np.int32(key), 8) & splat(DISTANCE_BITS, 8) <= as_int(reach))
         if active == 0:
             break
         node = entry(stack, NODES + size)

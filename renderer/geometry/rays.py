@@ -37,21 +37,13 @@ def _give_up(group: Rays8, kind: int) -> None:
 if _VECTORS:
 
     @device
-    def closest_hit(
-        corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray
-    ) -> Hit:
+    def closest_hit(corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray) -> Hit:
         """Nearest hit at 0 < t <= far on any face but those of `ignore`; `stack` is int32 scratch of STACK_SIZE."""
         return wide_traverse.closest_hit(tree.wide, ray, far, ignore, stack)
 
     @device
     def any_hit(
-        corners: np.ndarray,
-        tree: Tree,
-        ray: Ray,
-        far: float,
-        ignore: FaceRange,
-        target: int,
-        stack: np.ndarray,
+        corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, target: int, stack: np.ndarray
     ) -> bool:
         """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far."""
         if len(tree.wide.few.corners) > 0:
@@ -62,13 +54,7 @@ if _VECTORS:
 
     @device
     def closest_hits_of_group(
-        corners: np.ndarray,
-        tree: Tree,
-        group: Rays8,
-        count: int,
-        far: float,
-        coherent: bool,
-        stack: np.ndarray,
+        corners: np.ndarray, tree: Tree, group: Rays8, count: int, far: float, coherent: bool, stack: np.ndarray
     ) -> None:
         """Write what `closest_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
         if coherent and count == packets.SIZE and _hopeful(group, _NEAREST):
@@ -104,13 +90,7 @@ if _VECTORS:
 
     @device
     def any_hits_of_group(
-        corners: np.ndarray,
-        tree: Tree,
-        group: Rays8,
-        count: int,
-        far: float,
-        coherent: bool,
-        stack: np.ndarray,
+        corners: np.ndarray, tree: Tree, group: Rays8, count: int, far: float, coherent: bool, stack: np.ndarray
     ) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
         if coherent and count == packets.SIZE and _hopeful(group, _ANY):
@@ -133,13 +113,7 @@ else:
 
     @device
     def closest_hits_of_group(
-        corners: np.ndarray,
-        tree: Tree,
-        group: Rays8,
-        count: int,
-        far: float,
-        coherent: bool,
-        stack: np.ndarray,
+        corners: np.ndarray, tree: Tree, group: Rays8, count: int, far: float, coherent: bool, stack: np.ndarray
     ) -> None:
         """Write what `closest_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
         for i in range(count):
@@ -149,13 +123,7 @@ else:
 
     @device
     def any_hits_of_group(
-        corners: np.ndarray,
-        tree: Tree,
-        group: Rays8,
-        count: int,
-        far: float,
-        coherent: bool,
-        stack: np.ndarray,
+        corners: np.ndarray, tree: Tree, group: Rays8, count: int, far: float, coherent: bool, stack: np.ndarray
     ) -> None:
         """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
         for i in range(count):

@@ -122,9 +122,7 @@ def _literal(value: types.Type) -> int:
 @intrinsic(prefer_literal=True)
 def load(typingctx: Any, array: Any, start: Any, lanes: Any) -> Any:
     """Entries start ... start + lanes - 1 of a C-contiguous array, counted over all of it; no alignment is needed."""
-    if not (
-        isinstance(array, types.Array) and array.layout == "C" and isinstance(lanes, types.IntegerLiteral)
-    ):
+    if not (isinstance(array, types.Array) and array.layout == "C" and isinstance(lanes, types.IntegerLiteral)):
         return None
     vector = Vector(array.dtype, _literal(lanes))
 
@@ -163,9 +161,7 @@ def store(typingctx: Any, array: Any, start: Any, vector: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
         place = builder.gep(data, [args[1]], inbounds=True)
         builder.store(
-            args[2],
-            builder.bitcast(place, args[2].type.as_pointer()),
-            align=np.dtype(str(array.dtype)).itemsize,
+            args[2], builder.bitcast(place, args[2].type.as_pointer()), align=np.dtype(str(array.dtype)).itemsize
         )
         return context.get_dummy_value()
 
@@ -210,9 +206,7 @@ def rows(array: np.ndarray) -> tuple:
 def narrow(typingctx: Any, vector: Any) -> Any:
     """float64 lanes rounded to float32."""
     to = Vector(types.float32, vector.lanes)
-    return to(vector), lambda context, builder, sig, args: builder.fptrunc(
-        args[0], context.get_value_type(to)
-    )
+    return to(vector), lambda context, builder, sig, args: builder.fptrunc(args[0], context.get_value_type(to))
 
 
 def _reduction(sign: str) -> Any:
@@ -348,9 +342,7 @@ def widen(typingctx: Any, vector: Any) -> Any:
 def as_int(typingctx: Any, vector: Any) -> Any:
     """The bits of float32 lanes: of numbers >= 0 they have the numbers' order."""
     to = Vector(types.int32, vector.lanes)
-    return to(vector), lambda context, builder, sig, args: builder.bitcast(
-        args[0], context.get_value_type(to)
-    )
+    return to(vector), lambda context, builder, sig, args: builder.bitcast(args[0], context.get_value_type(to))
 
 
 @intrinsic
@@ -392,9 +384,7 @@ def count_bits(typingctx: Any, value: Any) -> Any:
 @intrinsic(prefer_literal=True)
 def load_ints(typingctx: Any, array: Any, start: Any, lanes: Any) -> Any:
     """int32 lanes that begin `start` times 4 bytes after the begin of a C-contiguous array of any type."""
-    if not (
-        isinstance(array, types.Array) and array.layout == "C" and isinstance(lanes, types.IntegerLiteral)
-    ):
+    if not (isinstance(array, types.Array) and array.layout == "C" and isinstance(lanes, types.IntegerLiteral)):
         return None
     vector = Vector(types.int32, _literal(lanes))
 

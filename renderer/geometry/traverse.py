@@ -36,9 +36,7 @@ def _enter(bounds: np.ndarray, node: int, ray: Ray, far: float) -> float:
     far_x = bounds[node, 1 - sx, 0] - ray.origin.x
     far_y = bounds[node, 1 - sy, 1] - ray.origin.y
     far_z = bounds[node, 1 - sz, 2] - ray.origin.z
-    slack = _SLACK * max(
-        max(max(abs(near_x), abs(far_x)), max(abs(near_y), abs(far_y))), max(abs(near_z), abs(far_z))
-    )
+    slack = _SLACK * max(max(max(abs(near_x), abs(far_x)), max(abs(near_y), abs(far_y))), max(abs(near_z), abs(far_z)))
     x = math.copysign(slack, ray.inverse.x)
     y = math.copysign(slack, ray.inverse.y)
     z = math.copysign(slack, ray.inverse.z)
@@ -59,9 +57,7 @@ def _enter(bounds: np.ndarray, node: int, ray: Ray, far: float) -> float:
 
 
 @device
-def closest_hit(
-    corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray
-) -> Hit:
+def closest_hit(corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray) -> Hit:
     """Nearest hit at 0 < t <= far on any face but those of `ignore`; `stack` is int32 scratch of STACK_SIZE."""
     best = Hit(far, -1, 0.0, 0.0)
     if len(tree.right) == 0:

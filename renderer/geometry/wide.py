@@ -64,12 +64,7 @@ def empty() -> Bvh8:
 
 @kernel
 def _plan(
-    bounds: np.ndarray,
-    right: np.ndarray,
-    count: np.ndarray,
-    scale: float,
-    faces: np.ndarray,
-    cut: np.ndarray,
+    bounds: np.ndarray, right: np.ndarray, count: np.ndarray, scale: float, faces: np.ndarray, cut: np.ndarray
 ) -> tuple[int, int]:
     """Numbers of nodes and leaves of the cheapest tree.
 
@@ -189,9 +184,7 @@ def _write(
                 nodes[node, WIDTH * axis + lane] = np.nextafter(low, -infinity) if low > exact else low
                 exact = (bounds[child, 1, axis] - component(center, axis)) * scale
                 high = np.float32(exact)
-                nodes[node, HIGH + WIDTH * axis + lane] = (
-                    np.nextafter(high, infinity) if high < exact else high
-                )
+                nodes[node, HIGH + WIDTH * axis + lane] = np.nextafter(high, infinity) if high < exact else high
             if cut[child, 1] != _AS_LEAF:
                 links[node, LINKS + lane] = used
                 waiting[size, 0], waiting[size, 1] = child, used
@@ -210,12 +203,7 @@ def _write(
 
 
 def collapse(
-    corners: np.ndarray,
-    bounds: np.ndarray,
-    right: np.ndarray,
-    first: np.ndarray,
-    count: np.ndarray,
-    order: np.ndarray,
+    corners: np.ndarray, bounds: np.ndarray, right: np.ndarray, first: np.ndarray, count: np.ndarray, order: np.ndarray
 ) -> Bvh8:
     """Make the wide tree of triangles (F, 3, 3) from their binary tree, whose arrays `bvh.Tree` describes."""
     if len(right) == 0:

@@ -200,21 +200,9 @@ def triangles_of(leaves: np.ndarray, leaf: int, s: Shear) -> Triangles:
     b = a + 24
     c = b + 24
     return edges(
-        (
-            widen(load(leaves, a + s.kx, 8)),
-            widen(load(leaves, a + s.ky, 8)),
-            widen(load(leaves, a + s.kz, 8)),
-        ),
-        (
-            widen(load(leaves, b + s.kx, 8)),
-            widen(load(leaves, b + s.ky, 8)),
-            widen(load(leaves, b + s.kz, 8)),
-        ),
-        (
-            widen(load(leaves, c + s.kx, 8)),
-            widen(load(leaves, c + s.ky, 8)),
-            widen(load(leaves, c + s.kz, 8)),
-        ),
+        (widen(load(leaves, a + s.kx, 8)), widen(load(leaves, a + s.ky, 8)), widen(load(leaves, a + s.kz, 8))),
+        (widen(load(leaves, b + s.kx, 8)), widen(load(leaves, b + s.ky, 8)), widen(load(leaves, b + s.kz, 8))),
+        (widen(load(leaves, c + s.kx, 8)), widen(load(leaves, c + s.ky, 8)), widen(load(leaves, c + s.kz, 8))),
         s,
     )
 

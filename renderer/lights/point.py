@@ -83,12 +83,7 @@ def sample(
 
 @device
 def emit(
-    scene: SceneArrays,
-    row: int,
-    probability: float,
-    aimed: bool,
-    place: tuple[float, float],
-    way: tuple[float, float],
+    scene: SceneArrays, row: int, probability: float, aimed: bool, place: tuple[float, float], way: tuple[float, float]
 ) -> tuple[Vec3, Vec3, Vec3, int]:
     """Origin, direction, power over the probability of the pick, and face (none) of a photon."""
     points = scene.emitters.points

@@ -85,6 +85,4 @@ def register(
 
 def registered(term: Term) -> tuple[str, ...]:
     """Names of the estimators of a term that were added by `register`."""
-    return tuple(
-        name for name, variant in VARIANTS[term].items() if not isinstance(variant.estimator, Compiled)
-    )
+    return tuple(name for name, variant in VARIANTS[term].items() if not isinstance(variant.estimator, Compiled))

@@ -28,18 +28,7 @@ from termwise.renderer.sobol import Sampler, sample_2d
 from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Chain, Variant
-from termwise.renderer.vector import (
-    Vec3,
-    column,
-    frame,
-    is_black,
-    mul,
-    put,
-    put_column,
-    scale,
-    to_world,
-    vec3,
-)
+from termwise.renderer.vector import Vec3, column, frame, is_black, mul, put, put_column, scale, to_world, vec3
 from termwise.renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
@@ -118,9 +107,7 @@ def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratc
         scratch.u[k], scratch.v[k] = sample_2d(sampler, OCCLUSION)
     directions, weights = scratch.rays.directions, scratch.u
     for k in range(asking):
-        direction, weights[k] = ambient_direction(
-            scene, rule, column(directions, k), scratch.u[k], scratch.v[k]
-        )
+        direction, weights[k] = ambient_direction(scene, rule, column(directions, k), scratch.u[k], scratch.v[k])
         put_column(directions, k, direction)
     for k in range(asking):
         lane = scratch.lane[k]
@@ -129,12 +116,7 @@ def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratc
 
 @kernel
 def _occlusion(
-    scene: SceneArrays,
-    rule: int,
-    key: np.uint64,
-    work: np.ndarray,
-    out: np.ndarray,
-    scratch: Scratch,
+    scene: SceneArrays, rule: int, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
 ) -> None:
     waiting = 0
     asking = 0
@@ -144,7 +126,7 @@ def _occlusion(
         if hits.count == 0:
             break
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.sights, i)
+            surface = surface_of(scene, scratch.primary, i)
             if surface.face >= 0:
                 radiance, asks = ambient_light(scene, rule, surface, shadowed(scene, surface, scratch))
                 begin, end = samples_of(scratch.index[i], hits.split, hits.first, hits.last)
@@ -162,9 +144,7 @@ def _occlusion(
                     waiting += 1
             if waiting + most_of(hits.last, hits.split) > SIZE or (hits.ends_row and i + 1 == hits.count):
                 _draw_directions(scene, rule, asking, scratch)
-                resolve_occlusion(
-                    scene, waiting, asking, ambient_reach(scene, rule), False, hits.y, out, scratch
-                )
+                resolve_occlusion(scene, waiting, asking, ambient_reach(scene, rule), False, hits.y, out, scratch)
                 waiting = 0
                 asking = 0
 
@@ -177,13 +157,7 @@ def _limit(scene: Scene, *, factor: float = 1.0, rings: int | None = None) -> Li
     """What an estimator becomes where ambient occlusion is off: L_a0 without a ray, in all variants (paper)."""
     if not scene.toggles.ambient_occlusion:
         factor, rings = 1.0, None
-    return Limit(
-        "ambient",
-        occluded=scene.toggles.ambient_occlusion,
-        factor=factor,
-        rings=rings,
-        shadows=scene.shadows,
-    )
+    return Limit("ambient", occluded=scene.toggles.ambient_occlusion, factor=factor, rings=rings, shadows=scene.shadows)
 
 
 VARIANTS = (

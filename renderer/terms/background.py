@@ -26,10 +26,10 @@ def _seen(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
         if hits.count == 0:
             break
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.sights, i)
+            surface = surface_of(scene, scratch.primary, i)
             if surface.face < 0:
-                origin = column(scratch.sights.origins, i)
-                direction = column(scratch.sights.directions, i)
+                origin = column(scratch.primary.origins, i)
+                direction = column(scratch.primary.directions, i)
                 accumulate(out, hits.y, scratch.x[i], sky_radiance(scene.sky, origin, direction))
             elif scene.draw_lights and surface.side > 0.0:
                 accumulate(out, hits.y, scratch.x[i], emission(scene, surface.face, surface.b1, surface.b2))

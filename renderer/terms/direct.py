@@ -25,18 +25,7 @@ from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
 from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of, trace
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
-from termwise.renderer.vector import (
-    Vec3,
-    add,
-    frame,
-    is_black,
-    mad,
-    max_component,
-    mul,
-    put,
-    scale,
-    to_world,
-)
+from termwise.renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, put, scale, to_world
 from termwise.renderer.warp import INV_PI, square_to_cosine_hemisphere
 from termwise.scenes import limits
 from termwise.scenes.limits import Kernel, Limit
@@ -49,9 +38,7 @@ _PATH = 64  # keys of a path's vertices: beyond the pairs above
 
 
 @device
-def light_irradiance(
-    scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch
-) -> Vec3:
+def light_irradiance(scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch) -> Vec3:
     """E / pi at a surface, one sample; uses the pair `dimension`."""
     u, v = sample_2d(sampler, dimension)
     irradiance, direction, target = sample_light(scene, surface, u, v)
@@ -134,7 +121,7 @@ def direct_nearest(
 
 @device
 def _draw_light_points(scene: SceneArrays, count: int, scratch: Scratch) -> None:
-    """Draw the points of the light samples of the first `count` sights: the k-th of sight i is point `8 k + i`.
+    """Draw the points of the light samples of the first `count` primary hits: the k-th of hit i is point `8 k + i`.
 
     In a loop of its own, which is vectorised.
     """
@@ -149,12 +136,7 @@ def _draw_light_points(scene: SceneArrays, count: int, scratch: Scratch) -> None
 
 @kernel
 def _next_event(
-    scene: SceneArrays,
-    photons: PhotonMap,
-    key: np.uint64,
-    work: np.ndarray,
-    out: np.ndarray,
-    scratch: Scratch,
+    scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
 ) -> None:
     share = 1.0 / scene.light_samples
     hits = no_hits()
@@ -166,7 +148,7 @@ def _next_event(
         waiting = 0
         asking = 0
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.sights, i)
+            surface = surface_of(scene, scratch.primary, i)
             if (
                 surface.face >= 0
                 and not (scene.skips.diffuse and is_black(diffuse_weight(scene, surface)))
@@ -199,7 +181,7 @@ def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
         if hits.count == 0:
             break
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.sights, i)
+            surface = surface_of(scene, scratch.primary, i)
             if surface.face >= 0 and not shadowed(scene, surface, scratch):
                 sampler = sampler_of(i, scratch)
                 accumulate(out, hits.y, scratch.x[i], direct_path(scene, surface, sampler, scratch))
@@ -207,12 +189,7 @@ def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
 
 @kernel
 def _photon_map(
-    scene: SceneArrays,
-    photons: PhotonMap,
-    key: np.uint64,
-    work: np.ndarray,
-    out: np.ndarray,
-    scratch: Scratch,
+    scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
 ) -> None:
     hits = no_hits()
     while True:
@@ -220,7 +197,7 @@ def _photon_map(
         if hits.count == 0:
             break
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.sights, i)
+            surface = surface_of(scene, scratch.primary, i)
             if surface.face >= 0 and not shadowed(scene, surface, scratch):
                 weight = diffuse_weight(scene, surface)
                 if not (scene.skips.diffuse and is_black(weight)):
@@ -248,7 +225,7 @@ def _nearest(
         if hits.count == 0:
             break
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.sights, i)
+            surface = surface_of(scene, scratch.primary, i)
             if surface.face >= 0 and not shadowed(scene, surface, scratch):
                 radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
                 accumulate(out, hits.y, scratch.x[i], radiance)
@@ -272,14 +249,12 @@ def _of_nearest(*, unbiased: bool = False, weighted: bool = True) -> Callable[[S
     def estimate(scene: Scene, samples: int) -> Kernel:
         k = scene.photons.nearest
         factor = (k - 1) / k if unbiased else 1.0
-        return Kernel(
-            shape="nearest", nearest=k, photons=scene.photons.count, scale=factor, weighted=weighted
-        )
+        return Kernel(shape="nearest", nearest=k, photons=scene.photons.count, scale=factor, weighted=weighted)
 
     return estimate
 
 
-_NEEDS_TWIN = "only against its twin: its own limit is an estimate with k photons"
+_NEEDS_KERNEL = "only against its kernel reference: its own limit is an estimate with k photons"
 
 VARIANTS = (
     Variant(
@@ -301,9 +276,7 @@ VARIANTS = (
         several_lights=True,
         inputs=lambda scene, chain, photons: (photons,),
         photons=lambda scene, chain: "scattered" if scene.scope == "all" else None,
-        kernel=lambda scene, samples: (
-            _of_radius(scene, samples, "scattered") if scene.scope == "all" else None
-        ),
+        kernel=lambda scene, samples: _of_radius(scene, samples, "scattered") if scene.scope == "all" else None,
         allowance=0.01,
     ),
     Variant(
@@ -335,7 +308,7 @@ VARIANTS = (
         kernel=_of_nearest(),
         allowance=0.01,
         judged=False,
-        why_not=_NEEDS_TWIN,
+        why_not=_NEEDS_KERNEL,
     ),
     Variant(
         name="paper-unweighted",
@@ -352,7 +325,7 @@ VARIANTS = (
         scatterings=("diffuse",),
         allowance=0.01,
         judged=False,
-        why_not=_NEEDS_TWIN,
+        why_not=_NEEDS_KERNEL,
     ),
     Variant(
         name="photon-map",
@@ -386,6 +359,6 @@ VARIANTS = (
         kernel=_of_nearest(unbiased=True),
         allowance=0.01,
         judged=False,
-        why_not=_NEEDS_TWIN,
+        why_not=_NEEDS_KERNEL,
     ),
 )

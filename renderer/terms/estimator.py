@@ -20,8 +20,8 @@ from termwise.scenes.model import Scene
 from termwise.scenes.store import ROOT, sources_digest
 
 if TYPE_CHECKING:
+    from termwise.renderer.engine import Engine
     from termwise.renderer.terms.variant import Chain, Variant
-    from termwise.renderer.tiles import Engine
 
 Prefix = tuple[int, np.ndarray, float]
 """(N, mean image of the first N samples (H, W, 3) float64, seconds since the start)."""

@@ -40,18 +40,7 @@ from termwise.renderer.terms.ambient import PAPER as PAPER_AMBIENT
 from termwise.renderer.terms.direct import direct_nearest, direct_next_event, direct_path
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Chain, Stored, Variant
-from termwise.renderer.vector import (
-    Vec3,
-    add,
-    frame,
-    is_black,
-    mad,
-    max_component,
-    mul,
-    scale,
-    to_local,
-    to_world,
-)
+from termwise.renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, scale, to_local, to_world
 from termwise.renderer.warp import hemisphere_ring, ring_cosine
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
@@ -65,9 +54,7 @@ VNDF, UNIFORM, PAPER, PAPER_LITERAL, PAPER_CODE, PAPER_CODE_NO_PI = range(6)
 
 
 @device
-def sample_variant(
-    lobe: int, rings: int, wo: Vec3, alpha: float, f0: Vec3, u: float, v: float
-) -> tuple[Vec3, Vec3]:
+def sample_variant(lobe: int, rings: int, wo: Vec3, alpha: float, f0: Vec3, u: float, v: float) -> tuple[Vec3, Vec3]:
     """Direction w_i and its weight by the estimator `lobe`, in the local frame."""
     if lobe == VNDF and wo.z > 0.0:
         return sample_lobe(wo, alpha, f0, u, v)
@@ -136,7 +123,7 @@ def _chain(
         if hits.count == 0:
             break
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.sights, i)
+            surface = surface_of(scene, scratch.primary, i)
             sampler = sampler_of(i, scratch)
             throughput = Vec3(1.0, 1.0, 1.0)
             bounce = 0
@@ -188,19 +175,12 @@ def _photons(scene: Scene, chain: Chain) -> Stored | None:
 
 
 def _limit(lobe: float = 1.0, **changes: Any) -> Callable[[Scene, int], Limit]:
-    return lambda scene, samples: Limit(
-        "specular", scope=scene.scope, lobe=lobe, shadows=scene.shadows, **changes
-    )
+    return lambda scene, samples: Limit("specular", scope=scene.scope, lobe=lobe, shadows=scene.shadows, **changes)
 
 
 def _rings(lobe: float) -> Callable[[Scene, int], Limit]:
     return lambda scene, samples: Limit(
-        "specular",
-        scope=scene.scope,
-        lobe=lobe,
-        diffuse=0.5,
-        rings=scene.rings,
-        shadows=scene.shadows,
+        "specular", scope=scene.scope, lobe=lobe, diffuse=0.5, rings=scene.rings, shadows=scene.shadows
     )
 
 

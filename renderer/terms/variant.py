@@ -48,7 +48,7 @@ class Variant:
     scatterings : values of `scene.photons.scattering` that it can follow.
     allowance : share of bias that is granted to a kernel-based variant, printed beside every verdict.
     ratio : scene -> predicted own / correct where that is one number for the whole image, else None.
-    judged : whether a verdict is due without a twin; `why_not` says why where it is not.
+    judged : whether a verdict is due without a kernel reference; `why_not` says why where it is not.
     measured : whether a study measures it that names no variants.
     occludes : of the ambient term, whether it traces occlusion rays.
     open_is_one : whether it knows without a ray that AO is 1 where nothing lies within reach.

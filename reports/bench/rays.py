@@ -67,9 +67,7 @@ def _boxes() -> np.ndarray:
         trimesh.creation.box((1.0, 1.0, 1.0)),
         trimesh.creation.box((0.7, 0.7, 1.8)),
     ]
-    for box, offset, angle in zip(
-        boxes, ((0, 0, -0.6), (-0.7, -0.4, 0), (0.8, 0.6, 0.4)), (0, 0.4, -0.3), strict=True
-    ):
+    for box, offset, angle in zip(boxes, ((0, 0, -0.6), (-0.7, -0.4, 0), (0.8, 0.6, 0.4)), (0, 0.4, -0.3), strict=True):
         box.apply_transform(trimesh.transformations.rotation_matrix(angle, (0, 0, 1)))
         box.apply_translation(offset)
     return _round(np.concatenate([box.vertices[box.faces] for box in boxes]))
@@ -198,13 +196,7 @@ class Ours:
     def _any(self, part: slice) -> None:
         mesh, rays = self.mesh, self.rays
         any_hits(
-            mesh.corners,
-            mesh.tree,
-            rays.origins[part],
-            rays.directions[part],
-            rays.far,
-            self.found[part],
-            new_rays8(),
+            mesh.corners, mesh.tree, rays.origins[part], rays.directions[part], rays.far, self.found[part], new_rays8()
         )
 
     def run(self) -> None:
@@ -317,10 +309,7 @@ def measure(
             report(name, place, len(names))
             mesh = prepare(made[name]())
             builds.append(_build_row(name, mesh))
-            sides = {
-                "robust": Theirs(mesh.corners, robust=True),
-                "default": Theirs(mesh.corners, robust=False),
-            }
+            sides = {"robust": Theirs(mesh.corners, robust=True), "default": Theirs(mesh.corners, robust=False)}
             for kind in KINDS:
                 rays = rays_of(kind, mesh, count)
                 cases.append({"mesh": name, "triangles": len(mesh.corners), "kind": kind})

@@ -53,14 +53,10 @@ def _rays(load: Load) -> int:
 AXES = {
     # 1280 to 1.3 million triangles.
     "triangles": Axis(
-        {20 * 4**n: Load("ball", "ambient", subdivisions=n, samples=8) for n in (3, 4, 5, 6, 7, 8)},
-        "ray",
-        _rays,
+        {20 * 4**n: Load("ball", "ambient", subdivisions=n, samples=8) for n in (3, 4, 5, 6, 7, 8)}, "ray", _rays
     ),
     "pixels": Axis(
-        {n**2: attrs.evolve(_AMBIENT, resolution=n, samples=4) for n in (32, 64, 128, 256, 512)},
-        "sample",
-        _samples,
+        {n**2: attrs.evolve(_AMBIENT, resolution=n, samples=4) for n in (32, 64, 128, 256, 512)}, "sample", _samples
     ),
     "samples": Axis({64: attrs.evolve(_AMBIENT, samples=64, sweep=True)}, "sample", _samples),
     # A picture so small that tracing, storing and sorting photons is nearly all.
@@ -84,9 +80,7 @@ class Worker:
         """Start it and wait until it has compiled and run once."""
         self.load = load
         command = [sys.executable, "-m", "termwise.reports.bench.worker", json.dumps(attrs.asdict(load))]
-        self._process = subprocess.Popen(
-            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        self._process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.facts: dict[str, Any] = self._answer()
 
     def start(self) -> None:
@@ -201,9 +195,7 @@ def _threads(name: str, axis: Axis, runs: int, threads: int) -> list[dict[str, A
     return rows
 
 
-def _row(
-    name: str, value: int, axis: Axis, load: Load, seconds: list[float], worker: Worker
-) -> dict[str, Any]:
+def _row(name: str, value: int, axis: Axis, load: Load, seconds: list[float], worker: Worker) -> dict[str, Any]:
     middle, low, high = spread(seconds)
     row = {"axis": name, "value": value, "seconds": middle, "seconds_low": low, "seconds_high": high}
     row |= {"unit": axis.unit, "per_unit_ns": 1e9 * middle / axis.count(load)}

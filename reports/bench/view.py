@@ -94,9 +94,7 @@ def measure(
     }
 
 
-def held(
-    name: str, *, changes: int, threads: int | None, report: Callable[[str, int, int], None]
-) -> dict[str, Any]:
+def held(name: str, *, changes: int, threads: int | None, report: Callable[[str, int, int], None]) -> dict[str, Any]:
     """Memory that the process holds after a tenth of the changes and after all of them.
 
     Inputs take turns, each new value one that was never shown, and the picture of each is waited for.
@@ -183,6 +181,4 @@ class _Frames:
 def _resident_mb() -> float:
     """Memory that the process holds now; NaN where the system does not tell."""
     path = Path("/proc/self/statm")
-    return (
-        int(path.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6 if path.exists() else float("nan")
-    )
+    return int(path.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6 if path.exists() else float("nan")

@@ -95,11 +95,7 @@ class Setting:
 
     def __init__(self, name: str, sampler: str, scene: Any, integrator: Any, camera: dict[str, Any]) -> None:
         """Bind a scene; `camera` is the one of its description."""
-        self.name, self._scene, self._integrator = (
-            f"{sampler} {name}".strip(),
-            scene,
-            integrator,
-        )
+        self.name, self._scene, self._integrator = (f"{sampler} {name}".strip(), scene, integrator)
         self._sensor = sensor(camera, 1, sampler)
         self._counts = mi.load_dict({"type": sampler})
         self._compiled: set[int] = set()
@@ -162,9 +158,7 @@ def settings(loaded: Any, limit: Limit) -> Iterator[Setting]:
         # that more samples of it would lessen.
         points = any(thing < 0 for _, thing in description["light_centres"])
         integrators = {
-            f"x{n}": mi.load_dict(
-                {"type": "direct", "emitter_samples": n, "bsdf_samples": 0, "hide_emitters": True}
-            )
+            f"x{n}": mi.load_dict({"type": "direct", "emitter_samples": n, "bsdf_samples": 0, "hide_emitters": True})
             for n in (SHARED[:1] if points else SHARED)
         }
     else:

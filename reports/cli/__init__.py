@@ -50,7 +50,7 @@ for command in (
     measuring.stress,
 ):
     app.command(command)
-for command in (measuring.rays, measuring.terms, measuring.scaling, measuring.economies):
+for command in (measuring.rays, measuring.terms, measuring.scaling, measuring.reductions):
     bench.command(command)
 bench.command(measuring.bench_view, name="view")
 
@@ -64,9 +64,7 @@ def main() -> None:
     except cyclopts.CycloptsError:
         status = 2  # already printed, in one line
     except KeyboardInterrupt:
-        terminal.fail(
-            "interrupted: nothing is half-written; a study goes on from the replicates it has finished"
-        )
+        terminal.fail("interrupted: nothing is half-written; a study goes on from the replicates it has finished")
         status = 2
     except ModuleNotFoundError as error:
         terminal.fail(lacking(error))

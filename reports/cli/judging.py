@@ -106,9 +106,7 @@ def _of_tiles(size: dict[str, Any]) -> str:
     """What the tests of one size of tiles found, in a line."""
     what = f"tiles of {size['side']} px"
     if size["merged_into"] is not None:
-        return (
-            f"{what}: merged into those of {size['merged_into']} px (median skewness {size['skewness']:.2f})"
-        )
+        return f"{what}: merged into those of {size['merged_into']} px (median skewness {size['skewness']:.2f})"
     found = f"{size['holm']} of {size['tested']} found by Holm, {size['benjamini_hochberg']} by Benjamini-Hochberg"
     text = f"{what}: {found}"
     return text if size["uniform_p"] is None else f"{text}; p is uniform with p = {size['uniform_p']:.2g}"

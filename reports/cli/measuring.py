@@ -1,4 +1,4 @@
-"""Benchmarks and the stress lab: bench rays, terms, scaling, economies, view; stress."""
+"""Benchmarks and the stress lab: bench rays, terms, scaling, reductions, view; stress."""
 
 import json
 from collections.abc import Callable
@@ -119,12 +119,12 @@ def terms(
     json_
         Print them on standard output.
     """
-    from termwise.reports.bench import terms as bench_terms
+    from termwise.reports.bench import equal_error
 
     measured = _benchmark(
         out,
         "terms",
-        lambda report: bench_terms.measure(
+        lambda report: equal_error.measure(
             scenes=tuple(scene or ()),
             terms=tuple(term or ()),
             resolution=resolution,
@@ -155,9 +155,7 @@ def terms(
                 )
         terminal.output.print(table)
     for case in measured["apart"]:
-        terminal.output.print(
-            f"{case['scene']}, {case['term']} {case['variant']}: no error that both sides reach"
-        )
+        terminal.output.print(f"{case['scene']}, {case['term']} {case['variant']}: no error that both sides reach")
     terminal.output.print(
         "Seconds of rendering alone to a root mean square error (radiance), and how many times as long Mitsuba takes "
         "in its fastest setting, median of runs (xN: rays that share a hit; rr: roulette).",
@@ -198,9 +196,7 @@ def scaling(
     measured = _benchmark(
         out,
         "scaling",
-        lambda report: bench_scaling.measure(
-            axes=tuple(axis or ()), runs=runs, threads=threads, report=report
-        ),
+        lambda report: bench_scaling.measure(axes=tuple(axis or ()), runs=runs, threads=threads, report=report),
         quiet=quiet,
         json_=json_,
     )
@@ -228,10 +224,10 @@ def scaling(
     return 0
 
 
-def economies(
+def reductions(
     *,
     scene: Names = None,
-    economy: Names = None,
+    reduction: Names = None,
     resolution: Integer = 48,
     batches: Integer = 4,
     threads: MaybeInteger = None,
@@ -239,13 +235,13 @@ def economies(
     quiet: Quiet = False,
     json_: Json = False,
 ) -> int:
-    """Measure what each economy is worth at equal error, and that it shifts no mean.
+    """Measure what each reduction is worth at equal error, and that it shifts no mean.
 
     Parameters
     ----------
     scene
         two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
-    economy
+    reduction
         aimed, lights, splitting, roulette, adaptive; all if none.
     resolution
         Pixels of a side of the square image.
@@ -254,20 +250,20 @@ def economies(
     threads
         Threads; one per core if not given.
     out
-        The numbers go to OUT/bench/economies.json.
+        The numbers go to OUT/bench/reductions.json.
     quiet
         No progress on standard error.
     json_
         Print them on standard output.
     """
-    from termwise.reports.bench import economies as bench_economies
+    from termwise.reports.bench import reductions as of_reductions
 
     measured = _benchmark(
         out,
-        "economies",
-        lambda report: bench_economies.measure(
+        "reductions",
+        lambda report: of_reductions.measure(
             scenes=tuple(scene or ()),
-            economies=tuple(economy or ()),
+            reductions=tuple(reduction or ()),
             resolution=resolution,
             batches=batches,
             threads=threads,
@@ -280,12 +276,12 @@ def economies(
     if json_:
         return 1 if failed else 0
     for name in dict.fromkeys(case["scene"] for case in measured["cases"]):
-        columns = ("economy", "term", "variant", "variance", "seconds", "cost", "spread", "verdict")
+        columns = ("reduction", "term", "variant", "variance", "seconds", "cost", "spread", "verdict")
         table = terminal.table(*columns, title=name)
         for case in measured["cases"]:
             if case["scene"] == name:
                 table.add_row(
-                    case["economy"],
+                    case["reduction"],
                     case["term"],
                     case["variant"],
                     f"{case['variance']:.2f}",
@@ -296,7 +292,7 @@ def economies(
                 )
         terminal.output.print(table)
     terminal.output.print(
-        "With the economy over without it: variance, processor seconds, and their product, which is what equal error "
+        "With the reduction over without it: variance, processor seconds, and their product, which is what equal error "
         "costs; below 1 is a gain. The verdict compares the means.",
         soft_wrap=True,
     )
@@ -438,15 +434,12 @@ def _print_stress(measured: dict[str, Any]) -> None:
         terminal.output.print(table)
     for case in measured["cases"]:
         if not case["passed"]:
-            why = case["faults"].get(
-                "ours", f"{case['figure']}: {shown(case['ours'])} > {shown(case['limit'])}"
-            )
+            why = case["faults"].get("ours", f"{case['figure']}: {shown(case['ours'])} > {shown(case['limit'])}")
             terminal.output.print(
                 f"{case['group']}: {case['name']}: {why}", highlight=False, soft_wrap=True, markup=False
             )
     terminal.output.print(
-        f"{len(measured['cases'])} rows in {measured['seconds']:.0f} s, {measured['failed']} failed",
-        highlight=False,
+        f"{len(measured['cases'])} rows in {measured['seconds']:.0f} s, {measured['failed']} failed", highlight=False
     )
 
 

@@ -184,9 +184,7 @@ def replay(
             microscope.open_run(results).group(subject.scene.name), estimator.term, estimator.name
         )
         if replicate != kept:
-            raise ValueError(
-                f"replicate = {replicate}: allowed is {kept}, the one that {results} stores whole"
-            )
+            raise ValueError(f"replicate = {replicate}: allowed is {kept}, the one that {results} stores whole")
         height, width = image.shape[:2]
         if (width, height) != subject.scene.resolution:
             raise ValueError(
@@ -217,19 +215,13 @@ def replay(
             "skipped": found.skipped,
             "stored": None if stored is None else stored.tolist(),
             "equals_stored": same,
-            "samples": [
-                attrs.asdict(sample) | {"radiance": sample.radiance.tolist()} for sample in found.samples
-            ],
+            "samples": [attrs.asdict(sample) | {"radiance": sample.radiance.tolist()} for sample in found.samples],
         }
         print(json.dumps(plain(described)))
     else:
         _print_replay(found)
         if same is not None:
-            word = (
-                "equal to the bit"
-                if same
-                else f"NOT equal: {_numbers(stored)}; other sources, seed or samples?"
-            )
+            word = "equal to the bit" if same else f"NOT equal: {_numbers(stored)}; other sources, seed or samples?"
             terminal.output.print(f"stored in {results}: {word}", highlight=False, soft_wrap=True)
     if found.astray:
         terminal.messages.print(
@@ -245,12 +237,8 @@ def _print_replay(found: Any) -> None:
         terminal.output.print(f"[bold]sample {sample.index}[/bold]")
         for event in sample.events:
             rest = {name: value for name, value in event.items() if name not in ("event", "gathered")}
-            line = "  ".join(
-                f"{name} {'-' if value is None else _numbers(value)}" for name, value in rest.items()
-            )
-            terminal.output.print(
-                f"  {event['event']}: {line}", highlight=False, soft_wrap=True, markup=False
-            )
+            line = "  ".join(f"{name} {'-' if value is None else _numbers(value)}" for name, value in rest.items())
+            terminal.output.print(f"  {event['event']}: {line}", highlight=False, soft_wrap=True, markup=False)
         terminal.output.print(
             f"  radiance {_numbers(sample.radiance)}  (trace: {sample.ulp:.2g} ulp apart)",
             highlight=False,

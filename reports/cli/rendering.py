@@ -77,12 +77,7 @@ def render(
             adaptive=adaptive,
             report=stage("Samples of all terms"),
         )
-    settings = {
-        "samples": samples,
-        "replicates": replicates,
-        "seed": seed,
-        "variant": " ".join(variant or ["default"]),
-    }
+    settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": " ".join(variant or ["default"])}
     return _write_images(described, found, folder, settings | {"adaptive": adaptive}, json_)
 
 
@@ -175,9 +170,7 @@ def reference(
         else:
             terminal.output.print(f"Wrote {script}", soft_wrap=True, highlight=False)
             if llvm:
-                terminal.output.print(
-                    f"Run it with DRJIT_LIBLLVM_PATH={llvm}", soft_wrap=True, highlight=False
-                )
+                terminal.output.print(f"Run it with DRJIT_LIBLLVM_PATH={llvm}", soft_wrap=True, highlight=False)
         return 0
     folder = terminal.folder(out / "reference")
     found = {}
@@ -186,14 +179,10 @@ def reference(
         for each, limit in wanted.items():
             report(each, len(found), len(wanted))
             found[each] = mitsuba.render(described, limit, spp=spp, seed=seed, replicates=replicates)
-    return _write_images(
-        described, found, folder, {"spp": spp, "replicates": replicates, "seed": seed}, json_
-    )
+    return _write_images(described, found, folder, {"spp": spp, "replicates": replicates, "seed": seed}, json_)
 
 
-def _write_images(
-    scene: Any, found: dict[str, Any], folder: Path, settings: dict[str, Any], as_json: bool
-) -> int:
+def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dict[str, Any], as_json: bool) -> int:
     """Write term images and their sum; report means and seconds."""
     from termwise.reports.pages.pictures import write_png
     from termwise.reports.results.exr import write_exr
@@ -204,24 +193,14 @@ def _write_images(
         parts["total"] = total(*(parts[term] for term in TERMS))
     shown = "total" if "total" in parts else next(iter(parts))
     exr, png = folder / f"{scene.name}.exr", folder / f"{scene.name}.{shown}.png"
-    header = {
-        "software": "termwise",
-        "scene": scene.name,
-        "digest": scene.digest(),
-        "settings": json.dumps(settings),
-    }
+    header = {"software": "termwise", "scene": scene.name, "digest": scene.digest(), "settings": json.dumps(settings)}
     write_exr(exr, parts, header)
     write_png(png, parts[shown], exposure=scene.exposure)
     rows = {
-        term: {"mean": image.mean.mean(axis=(0, 1)).tolist(), "seconds": image.seconds}
-        for term, image in found.items()
+        term: {"mean": image.mean.mean(axis=(0, 1)).tolist(), "seconds": image.seconds} for term, image in found.items()
     }
     if as_json:
-        print(
-            json.dumps(
-                {"scene": scene.name, "settings": settings, "terms": rows, "files": [str(exr), str(png)]}
-            )
-        )
+        print(json.dumps({"scene": scene.name, "settings": settings, "terms": rows, "files": [str(exr), str(png)]}))
         return 0
     table = Table("term", "mean radiance (R, G, B)", "seconds")
     for term, row in rows.items():
@@ -231,13 +210,7 @@ def _write_images(
     return 0
 
 
-def plan(
-    scene: str,
-    *,
-    samples: Integer = 16,
-    resolution: Resolution = None,
-    json_: Json = False,
-) -> int:
+def plan(scene: str, *, samples: Integer = 16, resolution: Resolution = None, json_: Json = False) -> int:
     """Say what a scene needs: what runs, what is skipped, why, and how much work that saves.
 
     Parameters
@@ -257,16 +230,13 @@ def plan(
     if samples < 1:
         raise ValueError(f"samples = {samples}: allowed is at least 1")
     steps = steps_of(
-        terminal.scene(scene, resolution),
-        {term: find(term) for term in TERMS},
-        samples=samples,
-        together=True,
+        terminal.scene(scene, resolution), {term: find(term) for term in TERMS}, samples=samples, together=True
     )
     if json_:
         found = [attrs.asdict(step) for step in steps]
         print(json.dumps({"scene": scene, "samples": samples, "steps": found}))
         return 0
-    colours = {"runs": "", "skip": "green", "economy": "cyan", "reuse": "cyan"}
+    colours = {"runs": "", "skip": "green", "variance reduction": "cyan", "reuse": "cyan"}
     table = terminal.table("term", "work", "", "why", "saved")
     before = None
     for step in steps:
@@ -309,13 +279,7 @@ def scenes(*, json_: Json = False) -> int:
     return 0
 
 
-def view(
-    scene: str = "two_cubes",
-    *,
-    port: MaybeInteger = None,
-    browser: bool = True,
-    out: Path = Path("out"),
-) -> int:
+def view(scene: str = "two_cubes", *, port: MaybeInteger = None, browser: bool = True, out: Path = Path("out")) -> int:
     """Open a local page on which every input is set and each term is watched while it converges.
 
     Parameters

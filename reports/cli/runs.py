@@ -88,9 +88,7 @@ def compare(
         results = None
     if results is None:
         with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
-            named = {
-                scene.name: given for scene, given in zip(prepared, scenes or chosen.scenes, strict=True)
-            }
+            named = {scene.name: given for scene, given in zip(prepared, scenes or chosen.scenes, strict=True)}
             results = run.measure(
                 chosen,
                 prepared,
@@ -182,13 +180,7 @@ def _print_certified(certified: dict[str, Any]) -> None:
     terminal.output.print(f"\n{text}", highlight=False, soft_wrap=True)
 
 
-def diff(
-    run_a: Path,
-    run_b: Path,
-    *,
-    out: Path = Path("out"),
-    json_: Json = False,
-) -> int:
+def diff(run_a: Path, run_b: Path, *, out: Path = Path("out"), json_: Json = False) -> int:
     """Say what changed from one run to another in verdict, bias, error and time, with a test before "worse" is said.
 
     Parameters
@@ -232,9 +224,7 @@ def _print_diff(found: dict[str, Any]) -> None:
         say("Settings: the same.")
     for each in found["failed"]:
         was = "failed before too" if each["before"] and each["after"] else "failed"
-        say(
-            f"{each['scene']}: {was if each['after'] else 'failed before'}: {each['after'] or each['before']}"
-        )
+        say(f"{each['scene']}: {was if each['after'] else 'failed before'}: {each['after'] or each['before']}")
     for scene in dict.fromkeys(row["scene"] for row in found["rows"]):
         table = terminal.table("term", "variant", "bias", "RMSE", "time", "verdict", title=scene)
         for row in found["rows"]:
@@ -282,12 +272,7 @@ def _plain(value: Any) -> str:
 
 
 def figure(
-    run: Path,
-    *,
-    scene: str,
-    term: str,
-    kind: Literal["convergence", "waterfall"] = "convergence",
-    out: Path,
+    run: Path, *, scene: str, term: str, kind: Literal["convergence", "waterfall"] = "convergence", out: Path
 ) -> int:
     """Draw a chart of a finished run for print: vectors, 85 mm wide, legible in grey.
 

@@ -67,18 +67,14 @@ def folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (NotADirectoryError, FileExistsError):
-        raise ValueError(
-            f"out = {path}: is a file, or lies in one: allowed is a folder, old or new"
-        ) from None
+        raise ValueError(f"out = {path}: is a file, or lies in one: allowed is a folder, old or new") from None
     return path
 
 
 def table(*columns: str, title: str | None = None) -> Table:
     """A table without lines, narrow enough for 80 columns: what is not a terminal has no more."""
     heading = None if title is None else f"\n[bold]{title}"
-    return Table(
-        *columns, title=heading, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
-    )
+    return Table(*columns, title=heading, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
 
 
 def command() -> str:

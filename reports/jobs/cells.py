@@ -14,9 +14,9 @@ from pathlib import Path
 import attrs
 import numpy as np
 
+from termwise.renderer.engine import Engine
 from termwise.renderer.scratch import COUNTERS
 from termwise.renderer.terms import VARIANTS, Chain, Variant
-from termwise.renderer.tiles import Engine
 from termwise.scenes import terms
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
@@ -127,12 +127,7 @@ def take(engine: Engine, job: Replicate, folder: Path) -> bool:
     done = np.array(list(engine.counts.values()))
     steps = list(
         engine.prefixes(
-            variant,
-            samples=job.counts[-1],
-            seed=job.seed,
-            replicate=job.number,
-            chain=job.chain,
-            counts=job.counts,
+            variant, samples=job.counts[-1], seed=job.seed, replicate=job.number, chain=job.chain, counts=job.counts
         )
     )
     arrays = {
@@ -160,9 +155,7 @@ def read(jobs: Sequence[Replicate], own: Limit, folder: Path, *, compile_seconds
     for job in jobs:
         found = _read(job.path(folder), (len(job.counts), height, width, 3))
         if found is None:
-            raise ValueError(
-                f"{job.path(folder)}: is missing or damaged: allowed is a replicate that was kept"
-            )
+            raise ValueError(f"{job.path(folder)}: is missing or damaged: allowed is a replicate that was kept")
         kept.append(found)
     counts = np.sum([each["counts"] for each in kept], axis=0)
     return Cell(

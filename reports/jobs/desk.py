@@ -97,9 +97,7 @@ class Desk:
         variant = asked.variant
         counts = powers_of_two(asked.samples) if asked.swept else (asked.samples,)
         return [
-            Replicate(
-                asked.scene, variant.term, variant.name, counts, self._study.seed, asked.chain, name, number
-            )
+            Replicate(asked.scene, variant.term, variant.name, counts, self._study.seed, asked.chain, name, number)
             for number in range(factor * self._study.replicates)
         ]
 
@@ -110,9 +108,7 @@ class Desk:
         paced = self.pace(scene, limit, factor=factor, spp=spp, by_second=by_second)
         return reference_jobs(scene, limit, paced, seed=self._study.seed, by_second=by_second)
 
-    def pace(
-        self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False
-    ) -> store.Pace:
+    def pace(self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False) -> store.Pace:
         """Samples and replicates of a reference: all that are asked for, but on `scalar_rgb`, where a pilot decides."""
         return store.pace(
             scene,
@@ -135,12 +131,7 @@ class Desk:
                 self._fingerprints[variant] = self._token
         found = self._fingerprints[variant]
         name = cells.key(
-            asked.scene,
-            variant,
-            samples=asked.samples,
-            seed=self._study.seed,
-            chain=asked.chain,
-            fingerprint=found,
+            asked.scene, variant, samples=asked.samples, seed=self._study.seed, chain=asked.chain, fingerprint=found
         )
         if found == self._token:
             self._unknown.add(name)
@@ -198,10 +189,7 @@ class Desk:
         """What the `jobs` of a cell have made; its compilation is that of all looks."""
         jobs = self.jobs(asked, factor=factor)
         return cells.read(
-            jobs,
-            asked.own,
-            self._cache / "cells",
-            compile_seconds=self._compile_seconds.get(jobs[0].key, 0.0),
+            jobs, asked.own, self._cache / "cells", compile_seconds=self._compile_seconds.get(jobs[0].key, 0.0)
         )
 
     def reference(
@@ -220,9 +208,7 @@ class Desk:
         )
         return kept._replace(shortfall=paced.shortfall)
 
-    def book(
-        self, scene: Scene, taken: Sequence[Cell], kept: Mapping[Limit, store.Replicates]
-    ) -> dict[Item, int]:
+    def book(self, scene: Scene, taken: Sequence[Cell], kept: Mapping[Limit, store.Replicates]) -> dict[Item, int]:
         """Put down the seconds of what a judged row is made of; returns its replicates."""
         seconds = {Item("ours", cell.key): cell.seconds[:, -1] for cell in taken}
         for limit, each in kept.items():

@@ -7,7 +7,7 @@ from typing import Protocol, Self
 
 import attrs
 
-from termwise.renderer.tiles import Engine
+from termwise.renderer.engine import Engine
 from termwise.reports.jobs import cells, references
 from termwise.reports.jobs.cells import Replicate
 from termwise.reports.jobs.references import ReferenceReplicate
@@ -86,9 +86,7 @@ class Worker:
         self._engine = None
 
     def _ready(self, scene: Scene) -> Engine:
-        if self._engine is None or (
-            scene is not self._engine.scene and scene.digest(without=()) != self._digest
-        ):
+        if self._engine is None or (scene is not self._engine.scene and scene.digest(without=()) != self._digest):
             self._close()
             self._engine, self._digest = Engine(scene), scene.digest(without=())
         return self._engine

@@ -17,7 +17,7 @@ class ReferenceReplicate:
     Attributes
     ----------
     limit : as it is rendered, see `reference.shared`: one replicate serves all limits that share it.
-    spp : samples per pixel; of a twin, photon maps.
+    spp : samples per pixel; of a kernel reference, photon maps.
     number : of the replicate.
     by_second : by the limit's second integrator.
     """
@@ -41,19 +41,11 @@ def reference_jobs(
 ) -> list[ReferenceReplicate]:
     """The jobs of a limit's replicates."""
     served = reference.shared(scene, limit)
-    return [
-        ReferenceReplicate(scene, served, paced.spp, seed, number, by_second) for number in range(paced.count)
-    ]
+    return [ReferenceReplicate(scene, served, paced.spp, seed, number, by_second) for number in range(paced.count)]
 
 
 def take(job: ReferenceReplicate, folder: Path) -> bool:
     """Render a replicate and keep it in `folder`, unless it is there; whether it was not."""
     return store.render_missing(
-        job.scene,
-        job.limit,
-        spp=job.spp,
-        seed=job.seed,
-        number=job.number,
-        folder=folder,
-        by_second=job.by_second,
+        job.scene, job.limit, spp=job.spp, seed=job.seed, number=job.number, folder=folder, by_second=job.by_second
     )

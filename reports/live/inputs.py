@@ -80,11 +80,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
             Input(("scene", "camera", "near"), "near distance", "distance", _LENGTH),
             Input(("scene", "resolution", 0), "width", "", "pixels; aspect is width over height"),
             Input(("scene", "resolution", 1), "height", "", "pixels"),
-            Input(
-                ("scene", "camera", "pixel"),
-                "ray of a pixel",
-                choices=("jitter", "centre", "corner"),
-            ),
+            Input(("scene", "camera", "pixel"), "ray of a pixel", choices=("jitter", "centre", "corner")),
         ],
     )
     yield (
@@ -94,9 +90,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                 each
                 for number in range(len(scene.lights))
                 for each in (
-                    *_triple(
-                        ("scene", "lights", number, "position"), f"light {number + 1}", "", _LENGTH, "xyz"
-                    ),
+                    *_triple(("scene", "lights", number, "position"), f"light {number + 1}", "", _LENGTH, "xyz"),
                     *_triple(
                         ("scene", "lights", number, "intensity"),
                         f"light {number + 1} intensity",
@@ -113,23 +107,11 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                 for each in (
                     *_triple(("scene", "objects", number, "position"), thing.name, "", _LENGTH, "xyz"),
                     Input(("scene", "objects", number, "size"), f"{thing.name} size", "", "root of its area"),
-                    *_triple(
-                        ("scene", "objects", number, "emission"),
-                        f"{thing.name} emission",
-                        "",
-                        _RADIANCE,
-                        "RGB",
-                    ),
+                    *_triple(("scene", "objects", number, "emission"), f"{thing.name} emission", "", _RADIANCE, "RGB"),
                 )
             ),
             *_triple(("scene", "ambient", "color"), "ambient light", "L_a0", _RADIANCE, "RGB"),
-            Input(
-                ("scene", "ambient", "range"),
-                "ambient range",
-                "AO distance",
-                f"{_LENGTH} or inf",
-                word="inf",
-            ),
+            Input(("scene", "ambient", "range"), "ambient range", "AO distance", f"{_LENGTH} or inf", word="inf"),
             *(
                 _triple(("scene", "sky", "color"), "sky", "", _RADIANCE, "RGB")
                 if scene.sky.texture is None
@@ -170,11 +152,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
             Input(("scene", "photons", "nearest"), "nearest", "k", "photons"),
             Input(("scene", "photons", "survival"), "survival", "", "probability, or auto", word="auto"),
             *(
-                Input(
-                    ("scene", "photons", name),
-                    name,
-                    choices=get_args(attrs.fields_dict(Photons)[name].type),
-                )
+                Input(("scene", "photons", name), name, choices=get_args(attrs.fields_dict(Photons)[name].type))
                 for name in ("kernel", "scattering")
             ),
         ],
@@ -193,12 +171,8 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
             )
 
 
-def _triple(
-    path: Steps, label: str, paper: str, unit: str, parts: str, high: float | None = None
-) -> list[Input]:
-    return [
-        Input((*path, number), label, paper, unit, high=high, part=part) for number, part in enumerate(parts)
-    ]
+def _triple(path: Steps, label: str, paper: str, unit: str, parts: str, high: float | None = None) -> list[Input]:
+    return [Input((*path, number), label, paper, unit, high=high, part=part) for number, part in enumerate(parts)]
 
 
 def _choice(name: str, label: str, paper: str = "") -> Input:

@@ -18,8 +18,8 @@ from typing import Any, Literal
 import attrs
 import numpy as np
 
+from termwise.renderer.engine import Cancelled, Engine
 from termwise.renderer.plan import skipped
-from termwise.renderer.tiles import Cancelled, Engine
 from termwise.reports.live.state import CHAIN, State
 from termwise.scenes.terms import TERMS, Term, total
 
@@ -268,11 +268,7 @@ class Live:
             return True
         if self._shown is not None and self._paused != self._told_paused:
             return True
-        return (
-            self._shown is not None
-            and not self._error
-            and self._next(self._shown[1], self._paused) is not None
-        )
+        return self._shown is not None and not self._error and self._next(self._shown[1], self._paused) is not None
 
     def _all(self) -> list[_Sum]:
         return [*self._sums.values(), *self._kept.values()]

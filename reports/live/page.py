@@ -59,9 +59,7 @@ body { --q-primary: #0b5394 !important } .body--dark { --q-primary: #8dbff2 !imp
 """
 
 
-def serve(
-    scene: str, folder: Path, *, port: int | None, browser: bool, announce: Callable[[str], object]
-) -> None:
+def serve(scene: str, folder: Path, *, port: int | None, browser: bool, announce: Callable[[str], object]) -> None:
     """Serve the page until interrupted.
 
     Parameters
@@ -114,9 +112,7 @@ def _alone(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ValueError(
-                f"out = {folder}: another termwise view writes there: allowed is another folder"
-            ) from None
+            raise ValueError(f"out = {folder}: another termwise view writes there: allowed is another folder") from None
         yield
 
 
@@ -127,9 +123,7 @@ def _free(port: int | None) -> int:
             probe.bind(("127.0.0.1", port or 0))
         except (OSError, OverflowError) as error:
             why = getattr(error, "strerror", None) or str(error)
-            raise ValueError(
-                f"port = {port}: {why}: allowed is a free one in [1, 65535], or none given"
-            ) from None
+            raise ValueError(f"port = {port}: {why}: allowed is a free one in [1, 65535], or none given") from None
         return probe.getsockname()[1]
 
 
@@ -188,12 +182,8 @@ class Page:
                 .props("dense outlined")
                 .on("keydown.enter", lambda: self._load(self.path.value))
             )
-            self.undo = ui.button("undo", on_click=lambda: self._show(self.history.undo())).props(
-                "dense flat no-caps"
-            )
-            self.redo = ui.button("redo", on_click=lambda: self._show(self.history.redo())).props(
-                "dense flat no-caps"
-            )
+            self.undo = ui.button("undo", on_click=lambda: self._show(self.history.undo())).props("dense flat no-caps")
+            self.redo = ui.button("redo", on_click=lambda: self._show(self.history.redo())).props("dense flat no-caps")
             self.name = ui.input("name", value="mine").props("dense outlined").classes("w-32")
             for text, action in (
                 ("save scene", self._save),
@@ -203,9 +193,7 @@ class Page:
                 ui.button(text, on_click=action).props("dense outline no-caps")
             self.pause = ui.switch("refine", value=True, on_change=lambda e: self.live.pause(not e.value))
         with ui.row().classes("w-full no-wrap items-start gap-6"):
-            self.inputs = (
-                ui.column().classes("inputs shrink-0 gap-1").props('role=region aria-label="Inputs"')
-            )
+            self.inputs = ui.column().classes("inputs shrink-0 gap-1").props('role=region aria-label="Inputs"')
             with ui.column().classes("grow min-w-0 gap-3"):
                 with ui.row().classes("items-center gap-4"):
                     ui.toggle(
@@ -233,9 +221,7 @@ class Page:
 
     def _list_inputs(self) -> None:
         ui = self.ui
-        self._fields = {
-            path: fields for path, fields in self._fields.items() if path == ("scene", "exposure")
-        }
+        self._fields = {path: fields for path, fields in self._fields.items() if path == ("scene", "exposure")}
         self.inputs.clear()
         with self.inputs:
             for number, (heading, inputs) in enumerate(groups(self.history.state)):
@@ -262,9 +248,7 @@ class Page:
             return self._refusal(each, value)
 
         if each.choices:
-            field = ui.select(
-                list(each.choices), value=value, label=each.name, on_change=changed, validation=refusal
-            )
+            field = ui.select(list(each.choices), value=value, label=each.name, on_change=changed, validation=refusal)
             field._props["aria-label"] = f"{heading}: {each.name}"
             self._fields[each.path] = [field.props("dense hide-bottom-space").classes("w-full")]
         elif isinstance(value, bool):
@@ -328,9 +312,7 @@ class Page:
         columns = 1 if self.shown == "sum" else 2
         width = "28rem" if columns == 1 else "40rem"
         self.gallery.style(f"max-width: {width}; min-width: 20rem")
-        with self.gallery.style(
-            f"display: grid; gap: .8rem; grid-template-columns: repeat({columns}, minmax(0, 1fr))"
-        ):
+        with self.gallery.style(f"display: grid; gap: .8rem; grid-template-columns: repeat({columns}, minmax(0, 1fr))"):
             for name in names:
                 with ui.element("figure").classes("m-0"):
                     frame = ui.element("div").classes("picture-frame").props("tabindex=0")
@@ -524,11 +506,7 @@ class Page:
         try:
             exr, picture = self._file(".exr"), self._file(".png")
             parts = {term: view.image for term, view in frame.terms.items() if view.image is not None}
-            header = {
-                "software": "termwise",
-                "digest": frame.state.scene.digest(),
-                "samples": str(frame.samples),
-            }
+            header = {"software": "termwise", "digest": frame.state.scene.digest(), "samples": str(frame.samples)}
             write_exr(exr, {**parts, TOTAL: frame.total}, header)
             save_png(picture, self._displayed(frame, frame.total))
         except (ValueError, OSError) as error:
@@ -542,9 +520,7 @@ class Page:
         ui = self.ui
         with ui.row().classes("items-center gap-3"):
             ui.label("Truth").classes("text-lg").props("role=heading aria-level=2")
-            self.start = ui.button("render the reference", on_click=self._start_truth).props(
-                "dense outline no-caps"
-            )
+            self.start = ui.button("render the reference", on_click=self._start_truth).props("dense outline no-caps")
             self.cancel = ui.button("cancel", on_click=self._stop_truth).props("dense flat no-caps")
             self.cancel.set_enabled(False)
             self.progress = (
@@ -607,9 +583,7 @@ class Page:
                     self.ui.element("img").classes("picture").props(f"src={png(row.error)}").props(
                         f'alt="signed error of {row.term}: blue too dark, red too bright, white none"'
                     )
-                    self.ui.label(f"{row.term}: signed error, ±{100 * row.scale:.3g} % of its mean").classes(
-                        "text-sm"
-                    )
+                    self.ui.label(f"{row.term}: signed error, ±{100 * row.scale:.3g} % of its mean").classes("text-sm")
         if view.done == view.count or view.error:
             self.truth = None
             self.start.set_enabled(True)
@@ -635,9 +609,7 @@ def _samples(frame: Frame, name: str) -> str:
         if any(view.status == "preview" for view in frame.terms.values()):
             return "preview, one sample for 2 × 2 pixels"
         return (
-            f"{frame.samples} samples"
-            if frame.samples is not None
-            else "its terms have different numbers of samples"
+            f"{frame.samples} samples" if frame.samples is not None else "its terms have different numbers of samples"
         )
     view = frame.terms[name]
     if view.status == "skipped":
@@ -678,9 +650,7 @@ def _terms_table(frame: Frame) -> str:
             frame.state.variants[term],
             str(view.samples),
             f"{view.seconds:.2f}",
-            view.reason
-            if view.status == "skipped"
-            else view.status + (", kept from before" if view.reused else ""),
+            view.reason if view.status == "skipped" else view.status + (", kept from before" if view.reused else ""),
         )
         for term, view in frame.terms.items()
     ]
@@ -694,9 +664,7 @@ def _plan_table(frame: Frame) -> str:
     rows = []
     for step in steps:
         saved = ", ".join(f"{count:,} {name}" for name, count in step.saved.items())
-        seconds = (
-            f"{frame.terms[step.term].seconds:.2f}" if step.work.startswith("kernel") and step.runs else ""
-        )
+        seconds = f"{frame.terms[step.term].seconds:.2f}" if step.work.startswith("kernel") and step.runs else ""
         rows.append(
             (
                 step.term,
@@ -712,12 +680,7 @@ def _plan_table(frame: Frame) -> str:
 
 def _verdict_table(view: TruthView) -> str:
     rows = [
-        (
-            row.term,
-            row.word,
-            f"{100 * row.bias:+.3f} [{100 * row.low:+.3f}, {100 * row.high:+.3f}]",
-            f"{row.rmse:.3g}",
-        )
+        (row.term, row.word, f"{100 * row.bias:+.3f} [{100 * row.low:+.3f}, {100 * row.high:+.3f}]", f"{row.rmse:.3g}")
         for row in view.rows
     ]
     words = "".join(f"<p>{escape(row.term)}: {escape(row.sentence)}</p>" for row in view.rows if row.sentence)

@@ -111,18 +111,12 @@ def put(state: State, path: Steps, value: Any) -> State:
 def _optional(state: State, path: Steps) -> bool:
     """Whether an input may be None."""
     holder = get(state, path[:-1])
-    return attrs.has(type(holder)) and type(None) in get_args(
-        attrs.fields_dict(type(holder))[str(path[-1])].type
-    )
+    return attrs.has(type(holder)) and type(None) in get_args(attrs.fields_dict(type(holder))[str(path[-1])].type)
 
 
 def _number(path: Steps, value: Any, *, whole: bool) -> float | int:
     kind = "an integer" if whole else "a number"
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or (whole and value != math.floor(value))
-    ):
+    if isinstance(value, bool) or not isinstance(value, int | float) or (whole and value != math.floor(value)):
         raise ValueError(f"{path[-1]} = {value!r}: allowed is {kind}")
     return int(value) if whole else float(value)
 
@@ -188,9 +182,7 @@ def pan(camera: Camera, right: float, up: float) -> Camera:
     distance = np.linalg.norm(np.subtract(camera.position, camera.target))
     sideways, upwards, _ = camera.frame()
     shift = distance * (right * sideways + up * upwards)
-    return attrs.evolve(
-        camera, position=_vector(camera.position + shift), target=_vector(camera.target + shift)
-    )
+    return attrs.evolve(camera, position=_vector(camera.position + shift), target=_vector(camera.target + shift))
 
 
 def zoom(camera: Camera, factor: float) -> Camera:

@@ -15,8 +15,8 @@ import attrs
 import numpy as np
 
 from termwise.reference import store
+from termwise.renderer.engine import Cancelled, Engine
 from termwise.renderer.plan import needs_photons, skipped
-from termwise.renderer.tiles import Cancelled, Engine
 from termwise.reports.live.state import CHAIN, State
 from termwise.reports.pages.pictures import diverge, error_scale, relative_error
 from termwise.reports.statistics import verdict
@@ -79,9 +79,7 @@ class Truth:
     publish : called from the thread with each view.
     """
 
-    def __init__(
-        self, state: State, samples: int, folder: Path, publish: Callable[[TruthView], object]
-    ) -> None:
+    def __init__(self, state: State, samples: int, folder: Path, publish: Callable[[TruthView], object]) -> None:
         self.state, self.samples = state, samples
         self._folder, self._publish = folder, publish
         self._cancel = threading.Event()

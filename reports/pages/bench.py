@@ -9,7 +9,7 @@ import jinja2
 from termwise.reports.pages import charts
 from termwise.reports.pages.environment import copy_static, page_environment, render_page
 
-NAMES = ("terms", "rays", "scaling", "economies", "view")
+NAMES = ("terms", "rays", "scaling", "reductions", "view")
 
 
 def write(folder: Path) -> Path:
@@ -67,9 +67,7 @@ def _terms(measured: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
         if curve["side"] == "ours":
             entry["ours"].append(curve)
             key = "scene", "term", "scope", "variant"
-            entry["rows"] += [
-                case for case in measured["cases"] if all(case[name] == curve[name] for name in key)
-            ]
+            entry["rows"] += [case for case in measured["cases"] if all(case[name] == curve[name] for name in key)]
         elif curve["kept"] or curve["setting"] not in entry["theirs"]:
             entry["theirs"][curve["setting"]] = curve
     for scenes in found.values():

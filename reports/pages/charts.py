@@ -53,13 +53,7 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
             if banded:
                 edge = [row["rmse_high"] for row in rows] + [row["rmse_low"] for row in reversed(rows)]
                 band = go.Scatter(
-                    x=[*x, *x[::-1]],
-                    y=edge,
-                    fill="toself",
-                    fillcolor=colour,
-                    opacity=0.18,
-                    mode="none",
-                    **style,
+                    x=[*x, *x[::-1]], y=edge, fill="toself", fillcolor=colour, opacity=0.18, mode="none", **style
                 )
                 figure.add_trace(band, 1, column)
             if (fitted := fitted_curve(rows, samples, rmse)) is not None:
@@ -330,9 +324,7 @@ def scaling(rows: list[dict[str, Any]]) -> dict[str, Any]:
     _log_axes(figure, (rows[0]["axis"], values), (f"nanoseconds a {unit}", [*low.tolist(), *high.tolist()]))
     # From a tenth to ten times the median: what is flat looks flat.
     middle = np.log10(np.median(each))
-    figure.update_yaxes(
-        range=[middle - 1.0, middle + 1.0], **_ticks([10 ** (middle - 1), 10 ** (middle + 1)])
-    )
+    figure.update_yaxes(range=[middle - 1.0, middle + 1.0], **_ticks([10 ** (middle - 1), 10 ** (middle + 1)]))
     figure.update_layout(height=300, margin={"t": 8})
     return figure.to_plotly_json()
 

@@ -33,17 +33,11 @@ WORDS = {
 """Each verdict's colour class and sign, the gravest first; the word itself always stands beside them."""
 
 
-def p_maps(
-    dataset: xarray.Dataset, name: str, picture: Callable[[str, np.ndarray], str]
-) -> dict[int, dict[str, Any]]:
+def p_maps(dataset: xarray.Dataset, name: str, picture: Callable[[str, np.ndarray], str]) -> dict[int, dict[str, Any]]:
     """Addresses and sizes of the maps of one cell's tiles by their side, drawn by `picture`; none for merged sizes."""
     drawn = {}
     for side in TILE_SIDES:
-        maps = {
-            each: dataset[f"tile_{each}_{side}"].values
-            for each in tiles.MAPS
-            if f"tile_{each}_{side}" in dataset
-        }
+        maps = {each: dataset[f"tile_{each}_{side}"].values for each in tiles.MAPS if f"tile_{each}_{side}" in dataset}
         if maps and np.isfinite(maps["p"]).any():
             size = dataset.sizes["y"], dataset.sizes["x"]
             pixels = pictures.p_map(**maps, side=side, size=size)
@@ -79,16 +73,7 @@ def page_environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_kwargs"] = {}  # not sorted: terms and references have an order
-    for name in (
-        "percent",
-        "interval",
-        "two_digits",
-        "plus_minus",
-        "number",
-        "similarity",
-        "duration",
-        "setting",
-    ):
+    for name in ("percent", "interval", "two_digits", "plus_minus", "number", "similarity", "duration", "setting"):
         environment.filters[name] = getattr(digits, name)
     environment.filters["math"] = mathml
     environment.filters["equation"] = lambda latex: mathml(latex, block=True)

@@ -19,14 +19,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import (
-    FixedLocator,
-    FuncFormatter,
-    LogLocator,
-    NullFormatter,
-    NullLocator,
-    ScalarFormatter,
-)
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator, ScalarFormatter
 
 from termwise.reports.pages.charts import PARTS, fitted_curve
 from termwise.scenes.store import write_atomically
@@ -113,9 +106,7 @@ def convergence(rows: list[dict[str, Any]], what: str) -> Figure:
             curves.setdefault(row["variant"], []).append(row)
     curves = {name: found for name, found in curves.items() if len(found) > 1}
     if not curves:
-        raise ValueError(
-            f"{what}: no variant has an error at two sample counts: allowed are terms that converge"
-        )
+        raise ValueError(f"{what}: no variant has an error at two sample counts: allowed are terms that converge")
     figure, panels = _canvas(62.0, 2)
     for index, (name, found) in enumerate(curves.items()):
         colour, mark, dash = (each[index % len(each)] for each in (_COLOURS, _MARKS, _DASHES))
@@ -133,9 +124,7 @@ def convergence(rows: list[dict[str, Any]], what: str) -> Figure:
             dense, line = (samples, rmse) if fit is None else fit
             along = np.exp(np.interp(np.log(dense), np.log(samples), np.log(x)))
             panel.plot(along, line, color=colour, linestyle=dash, linewidth=0.9)
-            panel.plot(
-                x, rmse, mark, color=colour, markersize=3.4, markerfacecolor="white", markeredgewidth=0.8
-            )
+            panel.plot(x, rmse, mark, color=colour, markersize=3.4, markerfacecolor="white", markeredgewidth=0.8)
         panels[0].plot(
             [], [], marker=mark, color=colour, linestyle=dash, linewidth=0.9, markersize=3.4,
             markerfacecolor="white", markeredgewidth=0.8, label=label,
@@ -158,9 +147,7 @@ def convergence(rows: list[dict[str, Any]], what: str) -> Figure:
     panels[0].xaxis.set_major_locator(FixedLocator(every[:: -(-len(every) // 5)]))
     panels[0].xaxis.set_major_formatter(ScalarFormatter())
     panels[0].xaxis.set_minor_locator(NullLocator())
-    handles, labels = (
-        sum(found, []) for found in zip(*(p.get_legend_handles_labels() for p in panels), strict=True)
-    )
+    handles, labels = (sum(found, []) for found in zip(*(p.get_legend_handles_labels() for p in panels), strict=True))
     figure.legend(handles, labels, loc="outside upper center", ncols=2, columnspacing=1.2, handlelength=2.4)
     return figure
 
@@ -196,7 +183,4 @@ def waterfall(rows: list[dict[str, Any]], what: str) -> Figure:
     return figure
 
 
-_DRAWN: dict[Kind, Callable[[list[dict[str, Any]], str], Figure]] = {
-    "convergence": convergence,
-    "waterfall": waterfall,
-}
+_DRAWN: dict[Kind, Callable[[list[dict[str, Any]], str], Figure]] = {"convergence": convergence, "waterfall": waterfall}

@@ -67,9 +67,7 @@ def write(folder: Path) -> Path:
         drawn=drawn,
         words=WORDS,
         rule=verdict,
-        downloads=[
-            name for name in ("results.json", "results.nc", "images.exr") if (folder / name).is_file()
-        ],
+        downloads=[name for name in ("results.json", "results.nc", "images.exr") if (folder / name).is_file()],
     )
     copy_static(folder)
     return index

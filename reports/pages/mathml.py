@@ -23,9 +23,7 @@ def mathml(latex: str, *, block: bool = False) -> Markup:
     try:
         markup = convert(latex, display="block" if block else "inline")
     except Exception as error:  # the converter has a dozen kinds, without a common base
-        raise ValueError(
-            f"equation = {latex!r}: is not LaTeX that can be shown ({type(error).__name__})"
-        ) from None
+        raise ValueError(f"equation = {latex!r}: is not LaTeX that can be shown ({type(error).__name__})") from None
     for wrong, right in _REPAIRS:
         markup = wrong.sub(right, markup)
     return Markup(markup.replace("<math ", Markup('<math alttext="{}" ').format(latex), 1))

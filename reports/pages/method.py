@@ -9,14 +9,8 @@ REFERENCES = (
         "paper",
         "Visualisation of a 3D scene with ray tracing. Course paper, 2020 (in Russian): the estimators called “paper”.",
     ),
-    (
-        "cook-torrance",
-        "R. L. Cook, K. E. Torrance. A reflectance model for computer graphics. ACM TOG 1(1), 1982.",
-    ),
-    (
-        "beckmann",
-        "P. Beckmann, A. Spizzichino. The scattering of electromagnetic waves from rough surfaces. 1963.",
-    ),
+    ("cook-torrance", "R. L. Cook, K. E. Torrance. A reflectance model for computer graphics. ACM TOG 1(1), 1982."),
+    ("beckmann", "P. Beckmann, A. Spizzichino. The scattering of electromagnetic waves from rough surfaces. 1963."),
     (
         "smith",
         "B. G. Smith. Geometrical shadowing of a random rough surface. IEEE Trans. Antennas and Propagation 15(5), "
@@ -34,14 +28,8 @@ REFERENCES = (
     ("burley", "B. Burley. Practical hash-based Owen scrambling. JCGT 9(4), 2020."),
     ("woop", "S. Woop, C. Benthin, I. Wald. Watertight ray/triangle intersection. JCGT 2(1), 2013."),
     ("arvo", "J. Arvo, D. Kirk. Particle transport and image synthesis. SIGGRAPH 1990."),
-    (
-        "jensen",
-        "H. W. Jensen. Global illumination using photon maps. Eurographics Workshop on Rendering 1996.",
-    ),
-    (
-        "knaus",
-        "C. Knaus, M. Zwicker. Progressive photon mapping: a probabilistic approach. ACM TOG 30(3), 2011.",
-    ),
+    ("jensen", "H. W. Jensen. Global illumination using photon maps. Eurographics Workshop on Rendering 1996."),
+    ("knaus", "C. Knaus, M. Zwicker. Progressive photon mapping: a probabilistic approach. ACM TOG 30(3), 2011."),
     ("mitsuba", "W. Jakob et al. Mitsuba 3 renderer. 2022."),
     (
         "welch",

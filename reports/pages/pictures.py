@@ -63,9 +63,7 @@ def relative_error(ours: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray,
     That is the reference's mean; ours' where the reference is black, 1 where both are.
     """
     luminances = [np.asarray(image, np.float64) @ LUMINANCE for image in (ours, reference)]
-    means = [
-        float(np.mean(each[np.isfinite(each)])) if np.isfinite(each).any() else 0.0 for each in luminances
-    ]
+    means = [float(np.mean(each[np.isfinite(each)])) if np.isfinite(each).any() else 0.0 for each in luminances]
     scale = next((mean for mean in reversed(means) if mean > 0), 1.0)
     return (luminances[0] - luminances[1]) / scale, scale
 

@@ -16,15 +16,7 @@ import xarray
 
 from termwise.renderer.terms import VARIANTS
 from termwise.reports.pages import charts, method, pictures, viewer
-from termwise.reports.pages.environment import (
-    WORDS,
-    copy_static,
-    p_maps,
-    page_environment,
-    render_page,
-    slug,
-    word,
-)
+from termwise.reports.pages.environment import WORDS, copy_static, p_maps, page_environment, render_page, slug, word
 from termwise.reports.progress import Report, silent
 from termwise.reports.results import microscope, provenance, table
 from termwise.reports.results import schema as stored
@@ -64,9 +56,7 @@ def write(run: Path, *, report: Report = silent) -> Path:
     stored.check_images(run)
     rows = [_complete(row | {"command": provenance.command(results, row)}) for row in results["cells"]]
     audits = results.get("audits", [])
-    every = [
-        _Scene(name, described, rows, audits) for name, described in results["settings"]["scenes"].items()
-    ]
+    every = [_Scene(name, described, rows, audits) for name, described in results["settings"]["scenes"].items()]
     scenes = [scene for scene in every if scene.setting is None]
 
     # What an earlier run with other scenes left would be taken for this one's.
@@ -107,12 +97,7 @@ def write(run: Path, *, report: Report = silent) -> Path:
         "rule": verdict,
         "downloads": [
             name
-            for name in (
-                "results.csv",
-                "results.json",
-                "results.nc",
-                *(f"images/{scene.name}.exr" for scene in every),
-            )
+            for name in ("results.csv", "results.json", "results.nc", *(f"images/{scene.name}.exr" for scene in every))
             if (run / name).is_file()
         ],
     }
@@ -139,11 +124,7 @@ class _Scene:
     """A scene's rows in the order in which they are read, and its pictures."""
 
     def __init__(
-        self,
-        name: str,
-        described: dict[str, Any],
-        rows: list[dict[str, Any]],
-        audits: list[dict[str, Any]],
+        self, name: str, described: dict[str, Any], rows: list[dict[str, Any]], audits: list[dict[str, Any]]
     ) -> None:
         self.name = name
         self._dataset: xarray.Dataset | None = None
@@ -176,20 +157,12 @@ class _Scene:
 
     def prefixes(self, term: str, variant: str) -> list[dict[str, Any]]:
         """Rows against `own` by increasing samples; the last one is the judged one."""
-        rows = [
-            row
-            for row in self.rows
-            if (row["term"], row["variant"], row["against"]) == (term, variant, "own")
-        ]
+        rows = [row for row in self.rows if (row["term"], row["variant"], row["against"]) == (term, variant, "own")]
         return sorted(rows, key=lambda row: row["samples"] or 0)
 
     def row(self, term: str, variant: str, against: str) -> dict[str, Any] | None:
         """The row at the largest sample count, None if there is none."""
-        rows = [
-            row
-            for row in self.rows
-            if (row["term"], row["variant"], row["against"]) == (term, variant, against)
-        ]
+        rows = [row for row in self.rows if (row["term"], row["variant"], row["against"]) == (term, variant, against)]
         return max(rows, key=lambda row: row["samples"] or 0, default=None)
 
     def dataset(self, run: Path) -> xarray.Dataset:
@@ -249,11 +222,7 @@ class _Scene:
             return quote(path.as_posix())
 
         cells = list(
-            zip(
-                dataset["cell_term"].values.astype(str),
-                dataset["cell_variant"].values.astype(str),
-                strict=True,
-            )
+            zip(dataset["cell_term"].values.astype(str), dataset["cell_variant"].values.astype(str), strict=True)
         )
         drawn: dict[tuple[str, str, str], dict[str, Any]] = {}
         for against in ("own", "physical"):
@@ -277,12 +246,8 @@ class _Scene:
                     name = str(dataset["limit_name"].values[limit])
                     drawn[term, variant, against] = {
                         "ours": picture(f"{term} {variant}", pictures.display(ours, exposure=exposure)),
-                        "reference": picture(
-                            f"reference {name}", pictures.display(reference, exposure=exposure)
-                        ),
-                        "error": picture(
-                            f"{term} {variant} error {against}", pictures.diverge(error, scale=scale)
-                        ),
+                        "reference": picture(f"reference {name}", pictures.display(reference, exposure=exposure)),
+                        "error": picture(f"{term} {variant} error {against}", pictures.diverge(error, scale=scale)),
                         "maps": p_maps(dataset.isel(cell=cell), f"{term} {variant}", picture)
                         if against == "own"
                         else {},
@@ -328,9 +293,7 @@ def _assignments(change: dict[str, Any], prefix: str = "") -> list[str]:
         if isinstance(value, dict):
             found += _assignments(value, f"{prefix}{name}.")
         else:
-            found.append(
-                f"{prefix}{name} = {'inf' if value is None else json.dumps(value, ensure_ascii=False)}"
-            )
+            found.append(f"{prefix}{name} = {'inf' if value is None else json.dumps(value, ensure_ascii=False)}")
     return found
 
 
@@ -386,9 +349,7 @@ def _order(term: str) -> int:
 
 def _complete(row: dict[str, Any]) -> dict[str, Any]:
     """A row in which whatever is not due is None."""
-    return (
-        dict.fromkeys(_FIELDS) | dict.fromkeys(_LISTS, []) | {k: v for k, v in row.items() if v is not None}
-    )
+    return dict.fromkeys(_FIELDS) | dict.fromkeys(_LISTS, []) | {k: v for k, v in row.items() if v is not None}
 
 
 def _tally(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
@@ -399,9 +360,7 @@ def _tally(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
 
 def _keys(scenes: list[_Scene]) -> dict[str, list[str]]:
     """Variants of each term over all scenes."""
-    every = sorted(
-        dict.fromkeys(key for scene in scenes for key in scene.keys), key=lambda key: _order(key[0])
-    )
+    every = sorted(dict.fromkeys(key for scene in scenes for key in scene.keys), key=lambda key: _order(key[0]))
     found: dict[str, list[str]] = {}
     for term, variant in every:
         found.setdefault(term, []).append(variant)

@@ -23,9 +23,7 @@ def write(run: Path) -> Path:
         If the run has no `index.html`.
     """
     if not (run / "index.html").is_file():
-        raise FileNotFoundError(
-            f"{run / 'index.html'}: no such file: allowed is a run whose pages are written"
-        )
+        raise FileNotFoundError(f"{run / 'index.html'}: no such file: allowed is a run whose pages are written")
     target = run / "report.html"
     found = [*run.glob("*.html"), *run.glob("*.css"), *run.glob("*.js"), *run.glob("scenes/*.html")]
     found += [*run.glob("data/*/*.js"), *run.glob("pictures/*/*.png")]

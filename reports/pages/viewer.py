@@ -75,9 +75,7 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
         for index, (mean, error) in enumerate(zip(means, errors, strict=True)):
             _write(folder, f"{kind}-{index}", np.stack([np.asarray(mean, np.float32), _rounded(error)]))
 
-    swept = "sweep_luminance" in dataset and microscope.has_pieces(
-        dataset
-    )  # an earlier version's run has neither
+    swept = "sweep_luminance" in dataset and microscope.has_pieces(dataset)  # an earlier version's run has neither
     if swept:
         for limit in range(dataset.sizes["limit"]):
             _write(folder, f"sweep-limit-{limit}", _reference_tiles(dataset.isel(limit=limit)))
@@ -123,9 +121,7 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
         )
     scales: dict[str, Any] = {}
     for (term, name), maps in found.items():
-        scales.setdefault(term, {})[name] = {
-            each: pictures.error_scale(errors) for each, errors in maps.items()
-        }
+        scales.setdefault(term, {})[name] = {each: pictures.error_scale(errors) for each, errors in maps.items()}
     return {
         "scene": scene.name,
         "folder": f"data/{quote(scene.name)}/",
@@ -227,6 +223,4 @@ def _sequential() -> list[list[int]]:
     """256 colours from black to pale yellow, those that FLIP is shown in."""
     knots = np.array([hex_to_rgb(colour) for colour in sequential.Magma])
     places = np.linspace(0, len(knots) - 1, 256)
-    return (
-        np.round([np.interp(places, np.arange(len(knots)), each) for each in knots.T]).T.astype(int).tolist()
-    )
+    return np.round([np.interp(places, np.arange(len(knots)), each) for each in knots.T]).T.astype(int).tolist()

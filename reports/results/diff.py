@@ -66,9 +66,7 @@ class Effect(NamedTuple):
         return self.value - half, self.value + half
 
 
-def welch(
-    before: tuple[float, float, float], after: tuple[float, float, float], *, sign: float = 1.0
-) -> Effect:
+def welch(before: tuple[float, float, float], after: tuple[float, float, float], *, sign: float = 1.0) -> Effect:
     """`after - sign * before` of two independent (value, standard error, degrees of freedom) (Welch 1947)."""
     (a, s_a, dof_a), (b, s_b, dof_b) = before, after
     square = s_a**2 + s_b**2
@@ -107,9 +105,7 @@ def diff(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
         for key, pair in pairs.items()
     ]
     tested = [row[name] for row in rows for name in MEASURES if row[name]]
-    for change, p in zip(
-        tested, tiles.holm(np.array([change["p"] for change in tested])).tolist(), strict=True
-    ):
+    for change, p in zip(tested, tiles.holm(np.array([change["p"] for change in tested])).tolist(), strict=True):
         direction = "worse" if change.pop("grew") else "better"
         change |= {"p": p, "finding": direction if p <= LEVEL else ""}
     failed = _failed(before, after)
@@ -205,11 +201,7 @@ def _times(pairs: dict[Key, tuple[dict[str, Any], dict[str, Any]]]) -> dict[Key,
         seconds = [np.array(row.get("replicate_seconds") or (), float) for row in rows]
         timed = all(len(each) > 1 and (each > 0).all() for each in seconds)
         # Equal seconds are those of kept replicates, which were rendered once.
-        if (
-            timed
-            and all(_has_light(row, "seconds") for row in rows)
-            and seconds[0].tolist() != seconds[1].tolist()
-        ):
+        if timed and all(_has_light(row, "seconds") for row in rows) and seconds[0].tolist() != seconds[1].tolist():
             logarithms[key] = [np.log(each) for each in seconds]
     effects = {key: welch(*map(_mean, pair)) for key, pair in logarithms.items()}
     found = {}
@@ -265,24 +257,19 @@ def _untested(
 def _failed(before: dict[str, Any], after: dict[str, Any]) -> list[dict[str, Any]]:
     old, new = ({each["scene"]: each["error"] for each in run.get("failed", [])} for run in (before, after))
     return [
-        {"scene": scene, "before": old.get(scene), "after": new.get(scene)}
-        for scene in dict.fromkeys([*new, *old])
+        {"scene": scene, "before": old.get(scene), "after": new.get(scene)} for scene in dict.fromkeys([*new, *old])
     ]
 
 
 def _described(results: dict[str, Any]) -> dict[str, Any]:
     settings = results["settings"]
     return {
-        name: settings.get(name)
-        for name in ("study", "seed", "command", "processor", "machine", "system", "cores")
+        name: settings.get(name) for name in ("study", "seed", "command", "processor", "machine", "system", "cores")
     } | {"versions": results["versions"]}
 
 
 def _settings(
-    before: dict[str, Any],
-    after: dict[str, Any],
-    old: dict[Key, dict[str, Any]],
-    new: dict[Key, dict[str, Any]],
+    before: dict[str, Any], after: dict[str, Any], old: dict[Key, dict[str, Any]], new: dict[Key, dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Differences of what the two runs were told, and by what they were made."""
     names = "study", "seed", "backend", "processor", "machine", "system", "cores", "alpha"
@@ -330,6 +317,5 @@ def _counts(old: dict[Key, dict[str, Any]], new: dict[Key, dict[str, Any]]) -> l
                 change = label, row.get(field), new[key].get(field)
                 found.setdefault(change, {})[f"{key[1]} {key[2]}"] = None
     return [
-        {"name": f"{label} of {', '.join(names)}", "before": a, "after": b}
-        for (label, a, b), names in found.items()
+        {"name": f"{label} of {', '.join(names)}", "before": a, "after": b} for (label, a, b), names in found.items()
     ]

@@ -160,9 +160,7 @@ def branch(
         )
         low, high = compared.interval(0.1)
         rows = zip(groups, counts, compared.bias, low, high, compared.standard_error, strict=True)
-        return [
-            Place(name, int(n), float(b), float(lo), float(hi), _z(b, se)) for name, n, b, lo, hi, se in rows
-        ]
+        return [Place(name, int(n), float(b), float(lo), float(hi), _z(b, se)) for name, n, b, lo, hi, se in rows]
 
     everything = np.ones(len(weights), np.bool_)
     (image,) = places({"image": everything}, mean)
@@ -239,16 +237,12 @@ class Run:
         for field, value in named.items():
             known = list(dict.fromkeys(row[field] for row in rows))
             if value is not None and value not in known:
-                raise ValueError(
-                    f"{field} = {value!r}: allowed are {', '.join(known) or 'none, nothing was judged'}"
-                )
+                raise ValueError(f"{field} = {value!r}: allowed are {', '.join(known) or 'none, nothing was judged'}")
             rows = [row for row in rows if value is None or row[field] == value]
         if term is None:
             rows = [row for row in rows if row["term"] != TOTAL]
         if not rows:
-            raise ValueError(
-                f"{self.folder}: holds no judged row with images: allowed are folders of a compare run"
-            )
+            raise ValueError(f"{self.folder}: holds no judged row with images: allowed are folders of a compare run")
         return sorted(rows, key=_gravity)
 
     def group(self, scene: str) -> xarray.Dataset:
@@ -259,13 +253,9 @@ class Run:
                 dataset = dataset.load()
         except (OSError, ValueError, KeyError, RuntimeError) as error:
             why = " ".join(str(error).split())
-            raise FileError(
-                f"{path}: cannot be read ({why}): allowed is what termwise compare wrote"
-            ) from None
+            raise FileError(f"{path}: cannot be read ({why}): allowed is what termwise compare wrote") from None
         if not has_pieces(dataset):
-            raise FileError(
-                f"{path}: {scene}: has no pieces, an older run's: allowed is what compare writes now"
-            )
+            raise FileError(f"{path}: {scene}: has no pieces, an older run's: allowed is what compare writes now")
         return dataset
 
     def replay(self, row: dict[str, Any], found: Branch) -> str:
@@ -305,9 +295,7 @@ def replay_command(results: dict[str, Any], row: dict[str, Any], found: Branch) 
 
 
 def _cell(dataset: xarray.Dataset, term: str, variant: str) -> int:
-    known = list(
-        zip(*(dataset[name].values.astype(str) for name in ("cell_term", "cell_variant")), strict=True)
-    )
+    known = list(zip(*(dataset[name].values.astype(str) for name in ("cell_term", "cell_variant")), strict=True))
     if (term, variant) not in known:
         allowed = ", ".join(f"{its} {name}" for its, name in known)
         raise ValueError(f"{term} {variant}: was not measured: allowed are {allowed}")

@@ -32,9 +32,7 @@ def read(run: Path) -> dict[str, Any]:
     try:
         text = path.read_text("utf-8")
     except FileNotFoundError:
-        raise ValueError(
-            f"{path}: no such file: allowed is the folder of a finished run, {_WRITER}"
-        ) from None
+        raise ValueError(f"{path}: no such file: allowed is the folder of a finished run, {_WRITER}") from None
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: is no text ({error.reason}): allowed is {_WRITER}") from None
     try:

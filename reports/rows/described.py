@@ -31,14 +31,10 @@ def describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, 
         "settings": {
             "triangles": sum(len(thing.mesh.faces) for thing in scene.objects),
             "ambient light": list(scene.ambient.color),
-            "ambient occlusion range": scene.ambient.range
-            if math.isfinite(scene.ambient.range)
-            else "infinite",
+            "ambient occlusion range": scene.ambient.range if math.isfinite(scene.ambient.range) else "infinite",
             "point lights": len(scene.lights),
             "area lights": sum(thing.emits for thing in scene.objects),
-            "sky": f"texture, {scene.sky.projection}"
-            if scene.sky.texture is not None
-            else list(scene.sky.color),
+            "sky": f"texture, {scene.sky.projection}" if scene.sky.texture is not None else list(scene.sky.color),
             "pixel rule": scene.camera.pixel,
             "field of view (degrees)": scene.camera.fov,
             "photons per pass": scene.photons.count,
@@ -51,10 +47,7 @@ def describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, 
             "normals": f"of the {scene.normals}",
             "intersection": scene.intersection,
             "lights drawn": scene.draw_lights,
-            **{
-                f"toggle {name.replace('_', ' ')}": value
-                for name, value in attrs.asdict(scene.toggles).items()
-            },
+            **{f"toggle {name.replace('_', ' ')}": value for name, value in attrs.asdict(scene.toggles).items()},
         },
         "gains": _gains(subject),
         "plan": [
@@ -79,8 +72,6 @@ def _gains(subject: Subject) -> dict[str, dict[str, float]]:
     scene = subject.scene
     glossy = [thing for thing in scene.objects if scene.specular_weight(thing.surface) > 0.0]
     return {
-        variant.name: {
-            thing.name: closed_forms.gain(variant.limit(scene, 1), thing.surface) for thing in glossy
-        }
+        variant.name: {thing.name: closed_forms.gain(variant.limit(scene, 1), thing.surface) for thing in glossy}
         for variant in subject.variants["specular"]
     }

@@ -125,10 +125,7 @@ class Pictures:
                 "piece_pixels": ("piece", pieces.pixels),
                 "image_pieces": (("cell", "replicate", "piece"), _padded(ours_of)),
                 "reference_pieces": (("limit", "reference_replicate", "piece"), _padded(truth_of)),
-                "rendered": (
-                    ("cell", "y", "x", "channel"),
-                    np.full((len(ours), height, width, len(CHANNELS)), np.nan),
-                ),
+                "rendered": (("cell", "y", "x", "channel"), np.full((len(ours), height, width, len(CHANNELS)), np.nan)),
                 "rendered_replicate": ("cell", np.full(len(ours), -1)),
                 **_swept(sweeps, len(ours)),
             },
@@ -164,21 +161,16 @@ class Pictures:
 
     def close(self) -> None:
         """Write `results.nc`."""
-        write_netcdf(
-            self.folder / "results.nc", {f"/{name}": dataset for name, dataset in self.groups.items()}
-        )
+        write_netcdf(self.folder / "results.nc", {f"/{name}": dataset for name, dataset in self.groups.items()})
 
 
-def _ours(
-    measured: list[Cell], pieces: microscope.Pieces
-) -> tuple[dict[tuple[str, str], TermImage], list[np.ndarray]]:
+def _ours(measured: list[Cell], pieces: microscope.Pieces) -> tuple[dict[tuple[str, str], TermImage], list[np.ndarray]]:
     """The image of each cell at its last prefix and of the total, and the luminance of their pieces."""
     defaults = _defaults(measured)
     shared = min(len(cell.images) for cell in defaults)
     summed = total(*(cell.images[:shared, -1] for cell in defaults))
     images = {
-        (cell.variant.term, cell.variant.name): _summary(cell.images[:, -1], cell.samples[-1])
-        for cell in measured
+        (cell.variant.term, cell.variant.name): _summary(cell.images[:, -1], cell.samples[-1]) for cell in measured
     }
     images[TOTAL, "default"] = _summary(summed, max(cell.samples[-1] for cell in defaults))
     return images, [pieces.luminance(cell.images[:, -1]) for cell in measured] + [pieces.luminance(summed)]
@@ -252,28 +244,20 @@ def _summary(stack: np.ndarray, samples: int) -> TermImage:
 def _padded(stacks: list[np.ndarray]) -> np.ndarray:
     """Stacks of so many replicates as the longest has; NaN where one has fewer."""
     longest = max(len(stack) for stack in stacks)
-    return np.stack(
-        [np.pad(stack, ((0, longest - len(stack)), (0, 0)), constant_values=np.nan) for stack in stacks]
-    )
+    return np.stack([np.pad(stack, ((0, longest - len(stack)), (0, 0)), constant_values=np.nan) for stack in stacks])
 
 
 def _swept(sweeps: list[Sweep], cells: int) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """The sweeps of a scene's cells as variables, up to as many prefixes as the longest has."""
     longest = max(len(each.samples) for each in sweeps)
     samples = np.zeros((cells, longest), np.int64)
-    mean, variance = (
-        np.full((cells, longest, *sweeps[0].mean.shape[1:]), np.nan, np.float32) for _ in range(2)
-    )
+    mean, variance = (np.full((cells, longest, *sweeps[0].mean.shape[1:]), np.nan, np.float32) for _ in range(2))
     for cell, each in enumerate(sweeps):
         samples[cell, : len(each.samples)] = each.samples
         mean[cell, : len(each.samples)] = each.mean
         variance[cell, : len(each.samples)] = each.variance
     dims = "cell", "prefix", f"tile_y_{SIDE}", f"tile_x_{SIDE}"
-    return {
-        "sweep_samples": (dims[:2], samples),
-        "sweep_luminance": (dims, mean),
-        "sweep_variance": (dims, variance),
-    }
+    return {"sweep_samples": (dims[:2], samples), "sweep_luminance": (dims, mean), "sweep_variance": (dims, variance)}
 
 
 def _stacked(dimension: str, arrays: list[np.ndarray]) -> tuple[tuple[str, ...], np.ndarray]:

@@ -10,8 +10,8 @@ import attrs
 import numpy as np
 
 from termwise.reference import backend, store
+from termwise.renderer.engine import Engine
 from termwise.renderer.terms import Variant
-from termwise.renderer.tiles import Engine
 from termwise.reports.jobs.cells import Cell
 from termwise.reports.jobs.desk import Desk, Measured
 from termwise.reports.jobs.executors import Job
@@ -87,12 +87,12 @@ def limits_of(study: Study, subject: Subject) -> tuple[Limit, ...]:
 
 
 def reference_samples(study: Study, limit: Limit) -> int:
-    """Samples per pixel and replicate; of a twin, photon maps a replicate."""
+    """Samples per pixel and replicate; of a kernel reference, photon maps a replicate."""
     if limit.kernel is not None:
-        assert study.twin_maps is not None
+        assert study.kernel_maps is not None
         # The paper's own estimate is to be told from one that is right, 1 to 2 % away.
         paper = limit.kernel.shape == "nearest" and limit.kernel.scale == 1.0
-        return study.twin_maps * (2 if paper else 1)
+        return study.kernel_maps * (2 if paper else 1)
     if limit.transport == "physical":
         return study.physical_spp
     # Rings cannot be drawn where the lobe is: their reference is as noisy as the estimator.
@@ -195,9 +195,7 @@ class Source:
         """The references of the first look against themselves."""
         scene, rendered = self.subject.scene, self.rendered.rendered
         seconds = {
-            limit: self.desk.reference(
-                scene, limit, spp=audits.second_samples(rendered[limit].spp), by_second=True
-            )
+            limit: self.desk.reference(scene, limit, spp=audits.second_samples(rendered[limit].spp), by_second=True)
             for limit in _seconds(self.study, self.subject, tuple(rendered))
         }
         return audits.audits(scene, rendered, seconds, compare=self._compare)
@@ -250,9 +248,7 @@ class Source:
         scene = self.subject.scene
         names = [thing.name for thing in scene.objects]
         try:
-            return accumulation.measure(
-                ours, reference, objects=self.objects, object_names=names, scale=self._scale
-            )
+            return accumulation.measure(ours, reference, objects=self.objects, object_names=names, scale=self._scale)
         except ValueError as error:
             raise ValueError(f"{scene.name}: {what}: {error}") from None
 
@@ -265,11 +261,7 @@ class Source:
         """All replicates that the looks took: the references, and the cells at their last prefix, with their sweeps."""
         factors = self._factors
         self.rendered = self._with(
-            {
-                limit: self._reference(limit, factors[limit])
-                for limit in self.rendered.rendered
-                if limit in factors
-            }
+            {limit: self._reference(limit, factors[limit]) for limit in self.rendered.rendered if limit in factors}
         )
         measured, sweeps = [], []
         for variant in _variants(self.subject):

@@ -151,9 +151,7 @@ def _identity(subject: Subject, term: str, variant: str, kind: str, against: str
     }
 
 
-def cell_rows(
-    subject: Subject, measured: list[Cell], rendered: References, compare: Compare
-) -> list[Measurement]:
+def cell_rows(subject: Subject, measured: list[Cell], rendered: References, compare: Compare) -> list[Measurement]:
     """Rows of variants: each prefix against its own limit, the last against the true integral and light transport."""
     scene = subject.scene
     rows: list[Measurement] = []
@@ -163,7 +161,7 @@ def cell_rows(
         own, correct = rendered.rendered[cell.own], rendered.correct[term]
         what = f"{term} {variant.name}"
         at_own = compare(cell.images[:, -1], own.images, what)
-        # Against its twin a kernel estimate is judged like any other.
+        # Against its kernel reference a kernel estimate is judged like any other.
         kernel = variant.kernel_based(scene) and cell.own.kernel is None
         judged = variant.judged or cell.own.kernel is not None
         kind = variant.kind if subject.setting is None else "wrong"
@@ -241,16 +239,12 @@ def _split(cell: Cell, own: np.ndarray, physical: np.ndarray) -> dict[str, list[
     return {name: [part.value, part.low(0.05), part.high(0.05)] for name, part in parts.items()}
 
 
-def total_rows(
-    subject: Subject, measured: list[Cell], rendered: References, compare: Compare
-) -> list[Measurement]:
+def total_rows(subject: Subject, measured: list[Cell], rendered: References, compare: Compare) -> list[Measurement]:
     """Rows of the sum of the default variants; it carries the allowance of a kernel-based term."""
     scene = subject.scene
     default = dict(zip(TERMS, measured, strict=True))
     ours = total(*(default[term].images[:, -1] for term in TERMS))
-    by_kernel = [
-        c.variant for c in default.values() if c.variant.kernel_based(scene) and c.own.kernel is None
-    ]
+    by_kernel = [c.variant for c in default.values() if c.variant.kernel_based(scene) and c.own.kernel is None]
     allowance = max((variant.allowance for variant in by_kernel), default=0.0)
     judged = all(cell.variant.judged or cell.own.kernel for cell in default.values())
     kind = "right" if subject.setting is None else "wrong"

@@ -7,9 +7,9 @@ import attrs
 import numpy as np
 
 from termwise.renderer import photon_map
+from termwise.renderer.engine import Engine
 from termwise.renderer.plan import skipped
 from termwise.renderer.terms import Variant
-from termwise.renderer.tiles import Engine
 from termwise.reports.jobs.cells import Cell
 from termwise.reports.jobs.desk import Measured
 from termwise.reports.statistics.convergence import extrapolate, relative_error
@@ -32,9 +32,7 @@ def asked(study: Study, subject: Subject, variant: Variant) -> list[Measured]:
     scene, samples = subject.scene, study.samples_of(variant)
     photons = (attrs.evolve(scene.photons, radius=factor * scene.photons.radius) for factor in study.radii)
     return [
-        Measured(
-            attrs.evolve(scene, photons=each), variant, variant.limit(scene, samples), samples, subject.chain
-        )
+        Measured(attrs.evolve(scene, photons=each), variant, variant.limit(scene, samples), samples, subject.chain)
         for each in photons
     ]
 

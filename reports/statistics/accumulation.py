@@ -26,14 +26,7 @@ from termwise.reports.statistics.replicates import (
     luminance_of,
     stacked,
 )
-from termwise.reports.statistics.welch import (
-    TERM_FLOOR,
-    ULP_FLOOR,
-    Comparison,
-    largest_event,
-    median_skewness,
-    welch,
-)
+from termwise.reports.statistics.welch import TERM_FLOOR, ULP_FLOOR, Comparison, largest_event, median_skewness, welch
 
 IMAGE = "image"
 """Name of the region that is the whole picture."""
@@ -195,9 +188,7 @@ def measure(
         regions=compare(regions, sums.areas[:, None], rare, term_mean * (1 if reference_is_zero else 0.1)),
         luminance=compare(luminance_of(regions[:, 0]), sums.areas[0], rare_luminance[:, 0]),
         tiles={side: compare(at.luminance, at.areas, rare_luminance) for side, at in tiles.items()},
-        channel_tiles={
-            side: compare(at.channels, at.areas, rare[..., None, None]) for side, at in tiles.items()
-        },
+        channel_tiles={side: compare(at.channels, at.areas, rare[..., None, None]) for side, at in tiles.items()},
         tile_skewness={
             side: max(median_skewness(at.luminance[:count]), median_skewness(at.luminance[count:]))
             for side, at in tiles.items()
@@ -367,7 +358,6 @@ def block_sums(values: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = (np.arange(0, length, side) for length in values.shape[-2:])
     sums = np.add.reduceat(np.add.reduceat(values, rows, axis=-2), columns, axis=-1)
     heights, widths = (
-        np.diff(starts, append=length)
-        for starts, length in zip((rows, columns), values.shape[-2:], strict=True)
+        np.diff(starts, append=length) for starts, length in zip((rows, columns), values.shape[-2:], strict=True)
     )
     return sums, np.multiply.outer(heights, widths).astype(np.float64)

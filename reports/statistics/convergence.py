@@ -132,9 +132,7 @@ def fit(
     """
     samples = np.asarray(samples, dtype=np.float64)
     if len(samples) < PREFIXES_NEEDED or len(samples) != len(errors):
-        raise ValueError(
-            f"{len(samples)} prefixes and {len(errors)} errors; as many and ≥ {PREFIXES_NEEDED} needed"
-        )
+        raise ValueError(f"{len(samples)} prefixes and {len(errors)} errors; as many and ≥ {PREFIXES_NEEDED} needed")
     if samples[0] <= 0 or np.any(np.diff(samples) <= 0):
         raise ValueError(f"samples are {samples.tolist()}; they must be positive and increase")
     if seconds is not None and len(seconds) != len(samples):
@@ -150,10 +148,7 @@ def fit(
             np.array([of(left) for left in np.stack(group, axis=1)])
             for group in zip(*(error.leave_one_out for error in errors), strict=True)
         ]
-        return [
-            Estimate(float(value), tuple(group[:, i] for group in without))
-            for i, value in enumerate(of(values))
-        ]
+        return [Estimate(float(value), tuple(group[:, i] for group in without)) for i, value in enumerate(of(values))]
 
     (fall,) = estimates(lambda y: (y[0] - y[-1],))
     if fall.low(0.05) > 0:
@@ -241,9 +236,7 @@ def extrapolate(radii: Sequence[float] | np.ndarray, estimates: Sequence[Estimat
     """
     radii = np.asarray(radii, dtype=np.float64)
     if len(radii) < RADII_NEEDED or len(radii) != len(estimates):
-        raise ValueError(
-            f"{len(radii)} radii and {len(estimates)} estimates; as many and ≥ {RADII_NEEDED} needed"
-        )
+        raise ValueError(f"{len(radii)} radii and {len(estimates)} estimates; as many and ≥ {RADII_NEEDED} needed")
     if np.any(radii <= 0) or len(np.unique(radii)) < len(radii):
         raise ValueError(f"radii are {radii.tolist()}; they must be positive and distinct")
     _same_replicates(estimates, "radii")

@@ -72,9 +72,7 @@ class Gram:
     matrix: np.ndarray
     sizes: tuple[int, ...]
 
-    def estimate(
-        self, products: np.ndarray, variances: np.ndarray | Sequence[float] | None = None
-    ) -> Estimate:
+    def estimate(self, products: np.ndarray, variances: np.ndarray | Sequence[float] | None = None) -> Estimate:
         """`Σ products[g, h] ⟨E_g, E_h⟩ + Σ variances[g] V_g`, unbiased, with its jackknife.
 
         `E_g` is the limit of group g, `V_g` the variance of one of its replicates, both averaged over pixels.
@@ -99,9 +97,7 @@ class Gram:
         one, row, square = member[deletable], rows[deletable], diagonal[deletable]
         outer = one[:, :, None] * row[:, None, :]
         both = square[:, None, None] * one[:, :, None] * one[:, None, :]
-        deleted = value(
-            total - outer - outer.swapaxes(1, 2) + both, trace - square[:, None] * one, counts - one
-        )
+        deleted = value(total - outer - outer.swapaxes(1, 2) + both, trace - square[:, None] * one, counts - one)
         ends = np.cumsum([size for size in self.sizes if size > 1])
         return Estimate(float(value(total, trace, counts)), tuple(np.split(deleted, ends[:-1])))
 

@@ -63,9 +63,7 @@ def relative_mse(reference: np.ndarray, image: np.ndarray, *, epsilon: float | N
     if epsilon == 0 and np.any((reference == 0) & (square > 0)):
         raise ValueError("relative_mse: the reference is black where the image is not; pass epsilon > 0")
     # A difference of 0 is 0 apart whatever it is divided by, 0/0 included.
-    return float(
-        np.mean(np.divide(square, reference**2 + epsilon, out=np.zeros_like(square), where=square > 0))
-    )
+    return float(np.mean(np.divide(square, reference**2 + epsilon, out=np.zeros_like(square), where=square > 0)))
 
 
 def ssim(reference: np.ndarray, image: np.ndarray, *, exposure: float) -> float:
@@ -115,7 +113,5 @@ def _pair(reference: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndar
     for name, values in zip(("reference", "image"), pair, strict=True):
         if not np.all(np.isfinite(values)):
             first = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-            raise ValueError(
-                f"{name}: {values[first]} at index {first}; only finite radiance can be compared"
-            )
+            raise ValueError(f"{name}: {values[first]} at index {first}; only finite radiance can be compared")
     return pair

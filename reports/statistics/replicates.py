@@ -32,9 +32,7 @@ def stacked(side: str, images: np.ndarray | Sequence[np.ndarray], names: Sequenc
                 raise ValueError(f"{name}: shape {array.shape} differs from {arrays[0].shape} of {called[0]}")
         images = np.stack(arrays) if arrays else np.empty((0, 0, 0, 3))
     if images.ndim != 4 or images.shape[3] != 3 or 0 in images.shape:
-        raise ValueError(
-            f"{side}: shape {images.shape}; allowed is (replicates, height, width, 3), none of them 0"
-        )
+        raise ValueError(f"{side}: shape {images.shape}; allowed is (replicates, height, width, 3), none of them 0")
     if not np.issubdtype(images.dtype, np.floating):
         raise ValueError(f"{side}: dtype {images.dtype}; linear radiance in floating point is needed")
     return images
@@ -45,9 +43,7 @@ def check(
 ) -> None:
     """Refuse what cannot be compared with a ValueError."""
     if ours.shape[1:] != reference.shape[1:]:
-        raise ValueError(
-            f"ours: images of shape {ours.shape[1:]}, but the reference's are {reference.shape[1:]}"
-        )
+        raise ValueError(f"ours: images of shape {ours.shape[1:]}, but the reference's are {reference.shape[1:]}")
     if len(ours) < REPLICATES_NEEDED:
         raise ValueError(
             f"ours: {_counted(len(ours))}; at least {REPLICATES_NEEDED} are needed, each with a seed of its own"
@@ -56,15 +52,9 @@ def check(
         raise ValueError(f"reference: {len(reference)} images; an exact reference is one image")
     if not exact and len(reference) < REPLICATES_NEEDED:
         hint = "; one image needs exact (--reference-exact)" if len(reference) == 1 else ""
-        raise ValueError(
-            f"reference: {_counted(len(reference))}; at least {REPLICATES_NEEDED} are needed{hint}"
-        )
-    if objects is not None and (
-        objects.shape != ours.shape[1:3] or not np.issubdtype(objects.dtype, np.integer)
-    ):
-        raise ValueError(
-            f"objects: {objects.dtype} {objects.shape}; allowed is an integer map {ours.shape[1:3]}"
-        )
+        raise ValueError(f"reference: {_counted(len(reference))}; at least {REPLICATES_NEEDED} are needed{hint}")
+    if objects is not None and (objects.shape != ours.shape[1:3] or not np.issubdtype(objects.dtype, np.integer)):
+        raise ValueError(f"objects: {objects.dtype} {objects.shape}; allowed is an integer map {ours.shape[1:3]}")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise ValueError(f"scale is {scale}; it must be finite and positive")
 
@@ -177,9 +167,7 @@ class Equality:
         sides = {"ours": range(count), "the reference": range(count, len(digests))}
         constant = {side: len({digests[k] for k in members}) == 1 for side, members in sides.items()}
         same = [
-            side
-            for side, members in sides.items()
-            if constant[side] and len(members) > 1 and not self.zero[members[0]]
+            side for side, members in sides.items() if constant[side] and len(members) > 1 and not self.zero[members[0]]
         ]
         if same and not noiseless:
             hints = {

@@ -76,7 +76,7 @@ def decide(
     margin : float
         Relative; see `margin_of`.
     kernel : bool
-        A kernel-based row against anything but its twin: only its means are judged; the rest is a warning.
+        A kernel-based row against anything but its kernel reference: only its means are judged; the rest is a warning.
     judged : bool
         False for rows that measure a known difference (prefixes, against `correct` or `physical`): the
         verdict, and all at the family's level, is None.
@@ -254,9 +254,7 @@ def _invalid_values(statistics: Statistics) -> list[_Finding]:
     return [_Finding(text, f"x {first.x}, y {first.y}")]
 
 
-def _outside(
-    comparison: Comparison, level: float, limit: float, missing: bool = False
-) -> list[tuple[int, str]]:
+def _outside(comparison: Comparison, level: float, limit: float, missing: bool = False) -> list[tuple[int, str]]:
     """Flat index and interval of each place that lies wholly outside ±limit, the surest first.
 
     `missing` chooses those that rare events may explain, which no replicate met: no proof.
@@ -321,15 +319,12 @@ def _open_questions(statistics: Statistics, margin: float, outside: float) -> tu
     """What keeps a row from being EQUIVALENT by rule 3."""
     low, high = (end[0] for end in statistics.regions.interval(2 * outside))
     questions = [
-        f"image, {channel}: [{percent(low[c])}, {percent(high[c])}] ({confidence(outside)}), "
-        f"not inside ±{margin:.2%}"
+        f"image, {channel}: [{percent(low[c])}, {percent(high[c])}] ({confidence(outside)}), not inside ±{margin:.2%}"
         for c, channel in enumerate(CHANNELS)
         if not (-margin < low[c] and high[c] < margin)
     ]
     if (bound := _shape_bound(statistics.mean_square[8], outside)) >= SHAPE_MARGIN:
-        questions.append(
-            f"shape error of up to {bound:.2%} rms over 8-px tiles is not below {SHAPE_MARGIN:.0%}"
-        )
+        questions.append(f"shape error of up to {bound:.2%} rms over 8-px tiles is not below {SHAPE_MARGIN:.0%}")
     return tuple(questions)
 
 
@@ -349,9 +344,7 @@ def _samples_ratio(statistics: Statistics, margin: float, outside: float) -> flo
     return float(max(mean**2, quantiles * theta.standard_error / SHAPE_MARGIN**2))
 
 
-def _scaled(
-    needed: float | None, samples: int | None, seconds: float | None
-) -> tuple[int | None, float | None]:
+def _scaled(needed: float | None, samples: int | None, seconds: float | None) -> tuple[int | None, float | None]:
     """So many times the samples and the seconds that a row took."""
     if needed is None:
         return None, None
@@ -383,14 +376,10 @@ def _intervals(statistics: Statistics, level: float | None, limit: float, outsid
     }
 
 
-def _regions(
-    statistics: Statistics, level: float | None, limit: float, outside: float
-) -> tuple[RegionBias, ...]:
+def _regions(statistics: Statistics, level: float | None, limit: float, outside: float) -> tuple[RegionBias, ...]:
     low, high = statistics.regions.interval(2 * outside)
     at_level = (
-        None
-        if level is None
-        else (*statistics.regions.interval(level), statistics.regions.detectable(level, limit))
+        None if level is None else (*statistics.regions.interval(level), statistics.regions.detectable(level, limit))
     )
     return tuple(
         RegionBias(

@@ -6,9 +6,7 @@ from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.verdict import LEVEL, OUTSIDE, POWER, SHAPE_LIMITS, WORDS, Verdict
 
 
-def sentence(
-    verdict: Verdict, statistics: Statistics, *, kernel: bool, tolerated: float, needed: float | None
-) -> str:
+def sentence(verdict: Verdict, statistics: Statistics, *, kernel: bool, tolerated: float, needed: float | None) -> str:
     """What was tested, what was found, and what is not excluded.
 
     Parameters

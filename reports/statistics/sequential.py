@@ -44,9 +44,7 @@ class Ledger:
     def missing(self, counts: Mapping[Item, int]) -> float:
         """Seconds that so many replicates would take beyond those there are, by the mean of these."""
         means = {item: self._seconds[item].mean() for item in counts}
-        return float(
-            sum(means[item] * max(0, count - len(self._seconds[item])) for item, count in counts.items())
-        )
+        return float(sum(means[item] * max(0, count - len(self._seconds[item])) for item, count in counts.items()))
 
     def took(self, side: str, wanted: Iterable[Mapping[Item, int]]) -> float:
         """Seconds that one side needed for so many replicates of each row, what they share counted once."""
@@ -54,9 +52,7 @@ class Ledger:
         for counts in wanted:
             for item, count in counts.items():
                 most[item] = max(count, most.get(item, 0))
-        return float(
-            sum(self._seconds[item][:count].sum() for item, count in most.items() if item.side == side)
-        )
+        return float(sum(self._seconds[item][:count].sum() for item, count in most.items() if item.side == side))
 
 
 class Row(Protocol):

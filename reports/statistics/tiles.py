@@ -187,12 +187,7 @@ def variables(cells: list[dict[int, TileMap] | None]) -> dict[str, tuple[tuple[s
     return {
         f"tile_{name}_{side}": (
             ("cell", f"tile_y_{side}", f"tile_x_{side}"),
-            np.stack(
-                [
-                    np.full_like(like.p, np.nan) if maps is None else getattr(maps[side], name)
-                    for maps in cells
-                ]
-            ),
+            np.stack([np.full_like(like.p, np.nan) if maps is None else getattr(maps[side], name) for maps in cells]),
         )
         for side, like in known.items()
         for name in MAPS

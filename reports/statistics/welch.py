@@ -80,9 +80,7 @@ class Comparison:
     def detectable(self, level: float, limit: float) -> np.ndarray:
         """Smallest bias that this very measurement finds outside ±limit in 80 % of the runs."""
         outside = limit + student.isf(level / 2, self.dof) * self.standard_error
-        return (
-            np.maximum(outside, self.missing(level)) + student.isf(1 - POWER, self.dof) * self.standard_error
-        )
+        return np.maximum(outside, self.missing(level)) + student.isf(1 - POWER, self.dof) * self.standard_error
 
     def missing(self, level: float) -> np.ndarray:
         """Size of δ up to which rare events that were not met explain it: the chance of so few is above `level`."""
@@ -132,9 +130,7 @@ def welch(
     return Comparison(mean, other, bias, error, scale, dof, noiseless, event / scale, seen)
 
 
-def _borrowed(
-    mean: np.ndarray, variance: np.ndarray, other: np.ndarray, event: np.ndarray | float
-) -> np.ndarray:
+def _borrowed(mean: np.ndarray, variance: np.ndarray, other: np.ndarray, event: np.ndarray | float) -> np.ndarray:
     """Variances of the means; a place where one side alone is 0 in all replicates has that of a place like the others.
 
     A sparse estimator may have no sample there, and its variance of 0 then proves nothing. Such a place has, for the

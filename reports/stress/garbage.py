@@ -18,21 +18,7 @@ from termwise.reports.stress.row import Row
 from termwise.scenes.load import load
 from termwise.scenes.model import Camera, Mesh, Object, PointLight, Scene
 
-VALUES = (
-    "nan",
-    "inf",
-    "-inf",
-    "-1.0",
-    "-0.0",
-    "0.0",
-    "1e-300",
-    "1e-30",
-    "1e30",
-    "1e300",
-    "'text'",
-    "[]",
-    "true",
-)
+VALUES = ("nan", "inf", "-inf", "-1.0", "-0.0", "0.0", "1e-300", "1e-30", "1e30", "1e300", "'text'", "[]", "true")
 # Table -> its fields with good values. The numbers of work (photons, bounces) are refused or small.
 FIELDS: dict[str, dict[str, str]] = {
     "": {"resolution": "[4, 4]", "max_bounces": "2", "exposure": "1.0", "rings": "4"},
@@ -80,10 +66,7 @@ def faulty(make: Callable[[], Scene], *, names: tuple[str, ...] = ()) -> bool:
     try:
         scene = make()
         images = render_terms(
-            scene,
-            {"ambient": None, "direct": None, "specular": None, "background": None},
-            samples=1,
-            threads=1,
+            scene, {"ambient": None, "direct": None, "specular": None, "background": None}, samples=1, threads=1
         )
     except ValueError as error:
         message = str(error)
@@ -109,9 +92,7 @@ def fields(count: int) -> Iterator[Row]:
                 return float(bad)
 
             name = f"{table.strip('[]')}.{key}".lstrip(".")
-            yield Row(
-                name, f"of {len(VALUES)} values, those neither refused by name nor rendered", 0.0, astray
-            )
+            yield Row(name, f"of {len(VALUES)} values, those neither refused by name nor rendered", 0.0, astray)
 
 
 def _changed(good: bytes, rng: np.random.Generator) -> bytes:

@@ -434,10 +434,7 @@ def directions(count: int) -> Iterator[Row]:
                 way[:, axis] = sign
 
                 def wrong(
-                    trace: Trace,
-                    grid: np.ndarray = grid,
-                    origins: np.ndarray = origins,
-                    way: np.ndarray = way,
+                    trace: Trace, grid: np.ndarray = grid, origins: np.ndarray = origins, way: np.ndarray = way
                 ) -> float:
                     found = _go(trace, grid, origins, way)
                     return float(((found.t != 2.5) | ~found.any).sum())
@@ -464,9 +461,7 @@ def directions(count: int) -> Iterator[Row]:
             found = _go(trace, corners, origins, longer)
             return float((np.isnan(found.t) | ((found.face < 0) & np.isfinite(found.t))).sum())
 
-        yield _row(
-            f"direction times 2^{power}", f"rays of {count} of a distance that is none", 0.0, no_number
-        )
+        yield _row(f"direction times 2^{power}", f"rays of {count} of a distance that is none", 0.0, no_number)
 
     # Denormal components beside a normal one are as good as zeros.
     main = np.abs(unit) == np.abs(unit).max(axis=1, keepdims=True)

@@ -141,9 +141,7 @@ def borders(count: int) -> Iterator[Row]:
                 f"{name}, radius {radius:g}",
                 "relative error of constant irradiance",
                 4.0 / (n * radius) ** 2,
-                lambda e, x=x, y=y, radius=radius: _off(
-                    e(scene, _map(xy, 1.0 / n**2, radius), _at(x, y)), 1.0
-                ),
+                lambda e, x=x, y=y, radius=radius: _off(e(scene, _map(xy, 1.0 / n**2, radius), _at(x, y)), 1.0),
             )
 
 
@@ -212,9 +210,7 @@ def tracing(count: int) -> Iterator[Row]:
         def differ(threads: int = threads) -> float:
             one, many = (_emitted(closed_box(), 4 * count, n) for n in (1, threads))
             fields = ("position", "direction", "power", "face", "start")
-            return float(
-                sum(getattr(one, each).tobytes() != getattr(many, each).tobytes() for each in fields)
-            )
+            return float(sum(getattr(one, each).tobytes() != getattr(many, each).tobytes() for each in fields))
 
         yield Row(f"{threads} threads", "of 5 arrays, those with other bytes", 0.0, differ)
 
@@ -245,9 +241,7 @@ def tracing(count: int) -> Iterator[Row]:
         def stray(position: tuple[float, float, float] = position) -> float:
             scene = attrs.evolve(closed_box(), lights=(PointLight(position, (1.0, 1.0, 1.0)),))
             photons = _emitted(scene, count, 1)
-            good = np.isfinite(photons.power).all(axis=1) & (np.abs(photons.position) <= 1.0 + 2.0**-50).all(
-                axis=1
-            )
+            good = np.isfinite(photons.power).all(axis=1) & (np.abs(photons.position) <= 1.0 + 2.0**-50).all(axis=1)
             return float((~good).sum())
 
         yield Row(f"light {name}", "photons that are no numbers or lie outside the box", 0.0, stray)

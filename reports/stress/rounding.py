@@ -132,9 +132,7 @@ def spread(image: Image, scene: Scene) -> Spread:
     """
 
     def deviation(unit: float) -> tuple[np.ndarray, np.ndarray]:
-        draws = np.stack(
-            [image(perturbed(scene, unit, np.random.default_rng(51 + draw))) for draw in range(DRAWS)]
-        )
+        draws = np.stack([image(perturbed(scene, unit, np.random.default_rng(51 + draw))) for draw in range(DRAWS)])
         size = np.linalg.norm(draws.mean(axis=0), axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.linalg.norm(draws.std(axis=0, ddof=1), axis=-1) / size
@@ -200,9 +198,7 @@ def _permuted(term: str, variant: str | None) -> tuple[np.ndarray, np.ndarray]:
     with _Samples(*_still()) as engine:
         engine.images = []
         list(engine.prefixes(find(term, variant), samples=_SAMPLES, seed=1, replicate=0))
-        forwards, backwards = (
-            functools.reduce(np.add, order) for order in (engine.images, engine.images[::-1])
-        )
+        forwards, backwards = (functools.reduce(np.add, order) for order in (engine.images, engine.images[::-1]))
     return forwards, backwards
 
 
@@ -233,21 +229,14 @@ def rows(count: int) -> Iterator[Row]:
                 "deviation at 2^-52 over 2^-22 of that at 2^-30, or its inverse",
                 limit,
                 *both(growth),
-                picture=(lambda term=term, variant=variant: _spread(term, variant).relative)
-                if share == 0.5
-                else None,
+                picture=(lambda term=term, variant=variant: _spread(term, variant).relative) if share == 0.5 else None,
             )
 
         # A sample flips where a ray passes an edge by 2^-52: of all 10^4 of them, 10^-9.
         def flips(term: str, variant: str | None) -> float:
             return float(_spread(term, variant).flips.sum())
 
-        yield Row(
-            f"{name}, flips",
-            f"pixels of {_SIDE * _SIDE} of which a sample goes another way",
-            0.0,
-            *both(flips),
-        )
+        yield Row(f"{name}, flips", f"pixels of {_SIDE * _SIDE} of which a sample goes another way", 0.0, *both(flips))
 
         # Either order of N numbers that are not negative errs by N - 1 roundings at most.
         def order(term: str, variant: str | None) -> float:
@@ -256,6 +245,4 @@ def rows(count: int) -> Iterator[Row]:
             return float(np.abs(backwards[lit] / forwards[lit] - 1.0).max())
 
         limit = 2 * _SAMPLES * 2.0**-53
-        yield Row(
-            f"{name}, order of samples", f"relative change, {_SAMPLES} of them reversed", limit, *both(order)
-        )
+        yield Row(f"{name}, order of samples", f"relative change, {_SAMPLES} of them reversed", limit, *both(order))

@@ -72,9 +72,7 @@ def _paper_sample(wo: Vec3, alpha: float, f0: Vec3, u: float, v: float) -> tuple
     return sample_variant(PAPER, 1, wo, alpha, f0, u, v)
 
 
-def _mitsuba_samples(
-    alpha: float, wo: Vec3, points: np.ndarray, f0: float = 1.0
-) -> tuple[np.ndarray, np.ndarray]:
+def _mitsuba_samples(alpha: float, wo: Vec3, points: np.ndarray, f0: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Directions (N, 3) and weights (N,) of the references' own BSDF."""
     from termwise.reference.backend import import_mitsuba
 
@@ -100,9 +98,7 @@ def weights(count: int) -> Iterator[Row]:
         for mu in COSINES:
             wo = _direction(mu, 0.3)
 
-            def faulty(
-                sample: Callable[..., tuple[Vec3, Vec3]], wo: Vec3 = wo, alpha: float = alpha
-            ) -> float:
+            def faulty(sample: Callable[..., tuple[Vec3, Vec3]], wo: Vec3 = wo, alpha: float = alpha) -> float:
                 pairs = [sample(wo, alpha, _WHITE, u, v) for u, v in points.tolist()]
                 return _faulty(np.array([wi for wi, _ in pairs]), np.array([weight.x for _, weight in pairs]))
 
@@ -196,9 +192,7 @@ def frames(count: int) -> Iterator[Row]:
                     worst = max(worst, float(np.abs(basis @ basis.T - np.eye(3)).max()))
                 return worst
 
-            yield Row(
-                f"frame at {'+' if sign > 0 else '-'}z, {distance:g} beside", "error of B Bᵀ", 2.0**-49, error
-            )
+            yield Row(f"frame at {'+' if sign > 0 else '-'}z, {distance:g} beside", "error of B Bᵀ", 2.0**-49, error)
 
 
 def _albedo(mu_o: float, alpha: float) -> float:
@@ -227,30 +221,18 @@ def furnace(count: int) -> Iterator[Row]:
     n = max(12, math.isqrt(count))
     middle = (np.arange(n) + 0.5) / n
     points = np.array([(u, v) for u in middle for v in middle])
-    for alpha, mu in (
-        (1e-4, 1.0),
-        (1e-4, 0.1),
-        (0.05, 0.01),
-        (0.3, 1e-3),
-        (0.3, 1.0),
-        (1.5, 1.0),
-        (1.5, 0.05),
-    ):
+    for alpha, mu in ((1e-4, 1.0), (1e-4, 0.1), (0.05, 0.01), (0.3, 1e-3), (0.3, 1.0), (1.5, 1.0), (1.5, 0.05)):
         wo = _direction(mu, 0.0)
 
         def error(mean: Callable[[], float], mu: float = mu, alpha: float = alpha) -> float:
             return abs(mean() / _albedo(mu, alpha) - 1.0)
 
         def ours(error: Any = error, wo: Vec3 = wo, alpha: float = alpha) -> float:
-            return error(
-                lambda: np.mean([sample_lobe(wo, alpha, _WHITE, u, v)[1].x for u, v in points.tolist()])
-            )
+            return error(lambda: np.mean([sample_lobe(wo, alpha, _WHITE, u, v)[1].x for u, v in points.tolist()]))
 
         def paper(error: Any = error, wo: Vec3 = wo, alpha: float = alpha) -> float:
             return error(
-                lambda: np.mean(
-                    [sample_variant(PAPER, 1, wo, alpha, _WHITE, u, v)[1].x for u, v in points.tolist()]
-                )
+                lambda: np.mean([sample_variant(PAPER, 1, wo, alpha, _WHITE, u, v)[1].x for u, v in points.tolist()])
             )
 
         def mitsuba(error: Any = error, wo: Vec3 = wo, alpha: float = alpha) -> float:
@@ -295,9 +277,7 @@ def bounces(count: int) -> Iterator[Row]:
             image = render(scene, "specular", samples=8).mean
             return float(abs(image.mean() / (gloss * (1.0 - gloss**most)) - 1.0))
 
-        yield Row(
-            f"closed sphere, gloss {gloss:g}, {most} bounces", "relative error of the mean", 0.02, error
-        )
+        yield Row(f"closed sphere, gloss {gloss:g}, {most} bounces", "relative error of the mean", 0.02, error)
 
 
 def rows(count: int) -> Iterator[Row]:

@@ -42,12 +42,7 @@ Trace = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], Found]
 
 @kernel
 def _binary(
-    corners: np.ndarray,
-    tree: Tree,
-    origins: np.ndarray,
-    directions: np.ndarray,
-    leaving: np.ndarray,
-    found: Found,
+    corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray, found: Found
 ) -> None:
     stack = np.empty(STACK_SIZE, np.int32)
     for i in range(len(origins)):
@@ -61,12 +56,7 @@ def _binary(
 
 @kernel
 def _wide(
-    corners: np.ndarray,
-    tree: Tree,
-    origins: np.ndarray,
-    directions: np.ndarray,
-    leaving: np.ndarray,
-    found: Found,
+    corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray, found: Found
 ) -> None:
     stack = np.empty(STACK_SIZE, np.int32)
     for i in range(len(origins)):
@@ -106,9 +96,7 @@ def _groups(
 
 
 @kernel
-def _paper(
-    corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray, found: Found
-) -> None:
+def _paper(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray, found: Found) -> None:
     for i in range(len(origins)):
         ray = make_ray(vec3(origins, i), vec3(directions, i))
         ignore = FaceRange(leaving[i], leaving[i] + 1)
@@ -119,9 +107,7 @@ def _paper(
 
 
 def _room(count: int) -> Found:
-    return Found(
-        np.full(count, np.inf), np.full(count, -1, np.int32), np.zeros((count, 2)), np.zeros(count, np.bool_)
-    )
+    return Found(np.full(count, np.inf), np.full(count, -1, np.int32), np.zeros((count, 2)), np.zeros(count, np.bool_))
 
 
 _TREES: dict[bytes, Tree] = {}

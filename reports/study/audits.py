@@ -57,9 +57,7 @@ def second_limits(scene: Scene, asked: Iterable[Limit]) -> list[Limit]:
     found: dict[Limit, Limit] = {}
     for limit in asked:
         served = reference.shared(scene, limit)
-        plain = limit.transport != "physical" and served == reference.shared(
-            scene, correct(limit.term, scene.scope)
-        )
+        plain = limit.transport != "physical" and served == reference.shared(scene, correct(limit.term, scene.scope))
         if plain and reference.has_second(scene, served):
             found.setdefault(served, limit)
     return list(found.values())
@@ -133,9 +131,7 @@ def decide(found: Iterable[Audit]) -> list[dict[str, Any]]:
     return rows
 
 
-def findings(
-    rows: Iterable[dict[str, Any]], scene: Scene, used: Iterable[Limit]
-) -> tuple[str | None, list[str]]:
+def findings(rows: Iterable[dict[str, Any]], scene: Scene, used: Iterable[Limit]) -> tuple[str | None, list[str]]:
     """What the audits say of the references that a row is measured against.
 
     The worst word, None without any audit; and why those that disagree do.
@@ -144,9 +140,7 @@ def findings(
     about = [row for row in rows if row["scene"] == scene.name and row["limit"] in names]
     words = {row["word"] for row in about}
     worst = next((word for word in (DISAGREES, UNDECIDED, AGREES, ABSENT) if word in words), None)
-    failed = [
-        f"{row['limit']}, {row['test']}: {row['reasons'][0]}" for row in about if row["word"] == DISAGREES
-    ]
+    failed = [f"{row['limit']}, {row['test']}: {row['reasons'][0]}" for row in about if row["word"] == DISAGREES]
     return worst, failed
 
 
@@ -155,8 +149,6 @@ def described(limit: Limit) -> str:
     fields = attrs.fields_dict(Limit)
     told = {name: value for name, value in attrs.asdict(limit, recurse=False).items() if name != "term"}
     rest = ", ".join(
-        f"{name} = {value}"
-        for name, value in told.items()
-        if value != fields[name].default and value is not None
+        f"{name} = {value}" for name, value in told.items() if value != fields[name].default and value is not None
     )
     return f"{limit.term}, {rest}" if rest else limit.term

@@ -91,9 +91,7 @@ def shares(ours: np.ndarray, reference: np.ndarray, classes: np.ndarray) -> dict
     classes : (H, W), of `classify`.
     """
     classes = np.where(classes == UNSEEN, CLASSES.index("boundary"), classes)
-    return {
-        name: relative_error(ours, reference, where=classes == number) for number, name in enumerate(CLASSES)
-    }
+    return {name: relative_error(ours, reference, where=classes == number) for number, name in enumerate(CLASSES)}
 
 
 def label(errors: Mapping[str, Estimate]) -> str:

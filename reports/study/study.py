@@ -22,9 +22,7 @@ _count = in_range(1, 2**31 - 1)
 
 
 def _samples(study: object, attribute: attrs.Attribute, value: dict[str, int]) -> None:
-    known = [
-        name for term in VARIANTS for name in (term, *(f"{term}.{variant}" for variant in VARIANTS[term]))
-    ]
+    known = [name for term in VARIANTS for name in (term, *(f"{term}.{variant}" for variant in VARIANTS[term]))]
     for name, count in value.items():
         if name not in known:
             raise ValueError(f"samples.{name} = {count!r}: unknown key: allowed are {', '.join(known)}")
@@ -35,9 +33,7 @@ def _samples(study: object, attribute: attrs.Attribute, value: dict[str, int]) -
 def _photons_of(study: "Study", attribute: attrs.Attribute, value: dict[str, int]) -> None:
     for name, count in value.items():
         if name not in study.scenes:
-            raise ValueError(
-                f"photons_of.{name} = {count}: no such scene: allowed are {', '.join(study.scenes)}"
-            )
+            raise ValueError(f"photons_of.{name} = {count}: no such scene: allowed are {', '.join(study.scenes)}")
         if not 1 <= count < 2**31:
             raise ValueError(f"photons_of.{name} = {count}: allowed is a number in [1, {2**31 - 1}]")
 
@@ -51,9 +47,7 @@ def _distinct(study: object, attribute: attrs.Attribute, value: tuple["Setting",
 
 def _enough(study: object, attribute: attrs.Attribute, value: tuple[float, ...]) -> None:
     if value and len(set(value)) < RADII_NEEDED:
-        raise ValueError(
-            f"{attribute.name} = {value}: allowed are {RADII_NEEDED} distinct factors or more, or none"
-        )
+        raise ValueError(f"{attribute.name} = {value}: allowed are {RADII_NEEDED} distinct factors or more, or none")
 
 
 def _some(study: object, attribute: attrs.Attribute, value: tuple[str, ...]) -> None:
@@ -142,9 +136,9 @@ class Study:
     reference_spp : samples per pixel of a reference replicate.
     audit : whether references are held against a second integrator too, beside their halves (`reports.study.audits`).
     physical_spp : the same for full light transport, against which no verdict is due.
-    twin_maps : photon maps a replicate of the twins, which kernel estimates are then judged against (at least 64 over
-        all replicates are wanted), twice as many for `paper`; None: they are judged against E itself, with their
-        allowance.
+    kernel_maps : photon maps a replicate of the kernel references, which kernel estimates are then judged against (at
+        least 64 over all replicates are wanted), twice as many for `paper`; None: they are judged against E itself,
+        with their allowance.
     photons : photons per pass at most, instead of a scene's larger count; None: the scenes' own.
     photons_of : photons per pass of the scenes named, whatever `photons` and the scenes say.
     samples : samples per pixel and replicate of a term, or of one variant as "term.variant"; powers of two keep
@@ -167,7 +161,7 @@ class Study:
     reference_spp: int = attrs.field(default=64, validator=_count)
     audit: bool = True
     physical_spp: int = attrs.field(default=16, validator=_count)
-    twin_maps: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
+    kernel_maps: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     photons: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     photons_of: dict[str, int] = attrs.field(factory=dict, validator=_photons_of)
     samples: dict[str, int] = attrs.field(factory=dict, validator=_samples)
@@ -197,9 +191,7 @@ def load(study: str | Path) -> Study:
     """Load a study by name, or any study file by path; errors as for scenes."""
     path = PRESETS / f"{study}.toml" if str(study) in studies() else Path(study)
     if path.suffix != ".toml":
-        raise FileError(
-            f"{study}: no such study: allowed are {', '.join(studies())} or a path that ends in .toml"
-        )
+        raise FileError(f"{study}: no such study: allowed are {', '.join(studies())} or a path that ends in .toml")
     return strict.read(path, Study, strict.converter())
 
 
@@ -218,10 +210,7 @@ def unkept() -> list[tuple[Term, str, str]]:
 def with_registered(study: Study) -> Study:
     """The study with all estimators that were added by `renderer.terms.register`."""
     added = {
-        term: (
-            *study.variants_of(term),
-            *(name for name in registered(term) if name not in study.variants_of(term)),
-        )
+        term: (*study.variants_of(term), *(name for name in registered(term) if name not in study.variants_of(term)))
         for term in VARIANTS
     }
     return attrs.evolve(study, variants=Variants(**added))

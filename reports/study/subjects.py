@@ -57,9 +57,7 @@ def scenes_of(study: Study, names: tuple[str, ...] = ()) -> tuple[Scene, ...]:
     prepared = []
     for name in names or study.scenes:
         scene = attrs.evolve(load(name), resolution=study.resolution)
-        count = study.photons_of.get(
-            scene.name, min(scene.photons.count, study.photons or scene.photons.count)
-        )
+        count = study.photons_of.get(scene.name, min(scene.photons.count, study.photons or scene.photons.count))
         scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=count))
         prepared.append(scene)
     twice = [scene.name for scene in prepared]
@@ -94,8 +92,7 @@ def subjects(study: Study, scenes: tuple[Scene, ...]) -> Iterator[Subject]:
                     raise ValueError(f"settings: {setting.name}: {error}") from None
                 scene = attrs.evolve(scene, name=f"{base.name}.{setting.name}")
                 variants: dict[Term, tuple[Variant, ...]] = {
-                    term: tuple(VARIANTS[term][name] for name in getattr(setting.variants, term))
-                    for term in TERMS
+                    term: tuple(VARIANTS[term][name] for name in getattr(setting.variants, term)) for term in TERMS
                 }
                 yield _checked(Subject(scene, variants, setting.chain, setting, base))
 
@@ -169,7 +166,7 @@ _converter = strict.converter()
 
 
 def own_limit(study: Study, subject: Subject, variant: Variant) -> Limit:
-    """What a variant is judged against: its twin where it estimates a density and the study renders twins."""
+    """What a variant is judged against: its kernel reference where it has a kernel and the study renders those."""
     scene = subject.scene
     samples = study.samples_of(variant)
     limit, kernel = variant.limit(scene, samples), variant.kernel(scene, samples)
@@ -177,10 +174,10 @@ def own_limit(study: Study, subject: Subject, variant: Variant) -> Limit:
         met = {term: VARIANTS[term][name] for term, name in CHAINS[subject.chain].items()}
         kernel = met["direct"].kernel(scene, samples)
         limit = attrs.evolve(limit, scope="all", ambient=met["ambient"].limit(scene, samples).factor)
-    if study.twin_maps is None or kernel is None:
+    if study.kernel_maps is None or kernel is None:
         return limit
-    # The twin scatters diffusely and leaves surfaces as Mitsuba does; its roulette decides how densely the nearest
-    # photons lie.
+    # The kernel reference scatters diffusely and leaves surfaces as Mitsuba does; its roulette decides how densely the
+    # nearest photons lie.
     photons = scene.photons
     served = photons.scattering == "diffuse" and scene.ignore == "face"
     served &= photons.survival is None or kernel.shape != "nearest"

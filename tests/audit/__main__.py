@@ -123,13 +123,7 @@ def audit(
 
 
 def _case(case: faults.Case) -> dict[str, Any]:
-    return {
-        "scene": case.scene,
-        "term": case.term,
-        "variant": case.variant,
-        "side": case.side,
-        "samples": case.samples,
-    }
+    return {"scene": case.scene, "term": case.term, "variant": case.variant, "side": case.side, "samples": case.samples}
 
 
 def _outcome(outcome: faults.Judged) -> dict[str, Any]:

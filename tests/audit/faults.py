@@ -155,12 +155,12 @@ class Tree:
 
 
 def truth(case: Case, *, seed: int) -> np.ndarray:
-    """Replicates (R, H, W, 3) of the case's own limit by Mitsuba, its twin where it estimates a density."""
+    """Replicates (R, H, W, 3) of the case's own limit by Mitsuba, its kernel reference where it estimates a density."""
     scene, variant = case.build(), find(case.term, case.variant)
     limit, kernel = variant.limit(scene, case.samples), variant.kernel(scene, case.samples)
     if kernel is not None:
         limit = attrs.evolve(limit, kernel=kernel)
-    # Of a twin, photon maps: each has many more photons than the scene says.
+    # Of a kernel reference, photon maps: each has many more photons than the scene says.
     spp = _TRUTH_SPP if kernel is None else _TRUTH_MAPS
     folder = cache_folder() / "reference"
     return store.replicates(scene, limit, spp=spp, seed=seed, count=REPLICATES, folder=folder).images

@@ -57,7 +57,7 @@ _FACE = "renderer/lights/face.py"
 _ARRIVING = "renderer/lights/arriving.py"
 _LOBE = "renderer/microfacet.py"
 _TRACING = "renderer/photon_tracing.py"
-_TILES = "renderer/tiles.py"
+_TILES = "renderer/engine.py"
 _OUT = "yield count, out / taken, seconds"
 
 PLANTS = (
@@ -118,13 +118,7 @@ PLANTS = (
         "INV_PI * faces.area[row] * cos_light",
         "INV_PI * 2.0 * faces.area[row] * cos_light",
     ),
-    Plant(
-        "direct: 1/pi lost",
-        DIRECT,
-        _FACE,
-        "INV_PI * faces.area[row] * cos_light",
-        "faces.area[row] * cos_light",
-    ),
+    Plant("direct: 1/pi lost", DIRECT, _FACE, "INV_PI * faces.area[row] * cos_light", "faces.area[row] * cos_light"),
     Plant(
         "light picked with the wrong probability",
         DIRECT,
@@ -181,13 +175,7 @@ PLANTS = (
         "scale(radiance, math.pi * faces.area[row] / probability)",
         "scale(radiance, 2.0 * math.pi * faces.area[row] / probability)",
     ),
-    Plant(
-        "photons: power shared by those that land",
-        PHOTON_MAP,
-        _TRACING,
-        "power /= emitted",
-        "power /= len(power)",
-    ),
+    Plant("photons: power shared by those that land", PHOTON_MAP, _TRACING, "power /= emitted", "power /= len(power)"),
     Plant(
         "photons: stored twice",
         PHOTON_MAP,
@@ -216,13 +204,7 @@ PLANTS = (
         'first_hits=stored != "scattered"',
         "first_hits=True",
     ),
-    Plant(
-        "specular: Fresnel with the exponent 4",
-        GLOSSY,
-        _LOBE,
-        "rise = x2 * x2 * x\n",
-        "rise = x2 * x2\n",
-    ),
+    Plant("specular: Fresnel with the exponent 4", GLOSSY, _LOBE, "rise = x2 * x2 * x\n", "rise = x2 * x2\n"),
     Plant(
         "specular: G1 in place of G",
         GLOSSY_UNIFORM,
@@ -259,11 +241,7 @@ PLANTS = (
         "throughput = mul(throughput, weight)",
     ),
     Plant(
-        "specular: a bounce too few",
-        METAL,
-        _SPECULAR,
-        "bounce < scene.max_bounces:",
-        "bounce < scene.max_bounces - 1:",
+        "specular: a bounce too few", METAL, _SPECULAR, "bounce < scene.max_bounces:", "bounce < scene.max_bounces - 1:"
     ),
     Plant(
         "specular: sky missing at depth",
@@ -324,13 +302,7 @@ PLANTS = (
         _OUT,
         "out[3, 5, 1] *= -1.0 if count == samples else 1.0\n            " + _OUT,
     ),
-    Plant(
-        "the same samples in all replicates",
-        DIRECT,
-        _TILES,
-        "key = root(seed, replicate)",
-        "key = root(seed, 0)",
-    ),
+    Plant("the same samples in all replicates", DIRECT, _TILES, "key = root(seed, replicate)", "key = root(seed, 0)"),
     Plant(
         "replicates with equal seeds by twos",
         DIRECT,

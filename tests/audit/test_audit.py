@@ -93,8 +93,7 @@ def test_nulls_count_alarms():
 def test_results_and_page(tmp_path, monkeypatch):
     """A small audit fills every row, and its page and table name each fault and what it fails by."""
     outcomes = {
-        plant.name: faults.Judged("BIASED", ("mean",), "BIASED: by the mean.", 0.1, 0.001)
-        for plant in PLANTS[1:]
+        plant.name: faults.Judged("BIASED", ("mean",), "BIASED: by the mean.", 0.1, 0.001) for plant in PLANTS[1:]
     }
     outcomes[PLANTS[0].name] = faults.Judged("UNDERPOWERED", (), "UNDERPOWERED: who knows.", 0.1, 0.1)
     controls = {BACKGROUND: faults.Judged("BIASED", ("mean",), "BIASED: a control.", 0.1, 0.001)}

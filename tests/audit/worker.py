@@ -47,8 +47,7 @@ class Case:
         things = scene.objects
         if change in _LOBES:
             things = tuple(
-                attrs.evolve(thing, material=attrs.evolve(thing.material, **_LOBES[change]))
-                for thing in things
+                attrs.evolve(thing, material=attrs.evolve(thing.material, **_LOBES[change])) for thing in things
             )
         elif change == "turned":
             mesh = attrs.evolve(things[0].mesh, faces=np.ascontiguousarray(things[0].mesh.faces[:, ::-1]))

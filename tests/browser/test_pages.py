@@ -57,9 +57,7 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 def opened(context: BrowserContext, address: str) -> Opened:
     """Open a page of the disk, and wait for its viewer or charts."""
     its = Opened(context.new_page(), [])
-    its.page.on(
-        "console", lambda m: its.complaints.append(m.text) if m.type in ("error", "warning") else None
-    )
+    its.page.on("console", lambda m: its.complaints.append(m.text) if m.type in ("error", "warning") else None)
     its.page.on("pageerror", lambda error: its.complaints.append(str(error)))
     its.page.on("requestfailed", lambda request: its.complaints.append(f"failed: {request.url}"))
 
@@ -106,10 +104,7 @@ def sweeps(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "object": (("y", "x"), objects),
         **{f"piece_{name}": ("piece", getattr(pieces, name)) for name in ("object", "x", "y", "pixels")},
-        "image_pieces": (
-            ("cell", "replicate", "piece"),
-            rng.gamma(9.0, 0.1, (len(CELLS), REPLICATES, found)),
-        ),
+        "image_pieces": (("cell", "replicate", "piece"), rng.gamma(9.0, 0.1, (len(CELLS), REPLICATES, found))),
         "reference_pieces": (
             ("limit", "reference_replicate", "piece"),
             rng.gamma(9.0, 0.1, (len(LIMITS), REFERENCE_REPLICATES, found)),
@@ -140,10 +135,7 @@ def run(tmp_path_factory) -> Path:
                 "image": (("cell", *dims), ours),
                 "image_variance": (("cell", *dims), rng.gamma(2.0, 1e-3, ours.shape).astype(np.float32)),
                 "reference": (("limit", *dims), reference),
-                "reference_variance": (
-                    ("limit", *dims),
-                    rng.gamma(2, 1e-4, reference.shape).astype(np.float32),
-                ),
+                "reference_variance": (("limit", *dims), rng.gamma(2, 1e-4, reference.shape).astype(np.float32)),
             }
             | tile_tests(rng)
             | sweeps(rng),
@@ -162,14 +154,7 @@ def run(tmp_path_factory) -> Path:
         write_exr(folder / "images" / f"{scene}.exr", parts, {})
         described[scene] = {"resolution": [SIZE, SIZE], "exposure": 0.8, "scope": "all", "digest": "3f" * 32}
         described[scene]["plan"] = [
-            {
-                "term": "direct",
-                "work": "photons",
-                "kind": "skip",
-                "reason": "no light",
-                "saved": {},
-                "at_most": False,
-            }
+            {"term": "direct", "work": "photons", "kind": "skip", "reason": "no light", "saved": {}, "at_most": False}
         ]
         for term, variant in CELLS:
             common = {"scene": scene, "term": term, "variant": variant, "kind": "right", "scope": "all"}
@@ -258,8 +243,7 @@ def numbers(page):
 
     rows = page.locator("#inspector tbody tr").all()
     return {
-        row.locator("th").inner_text(): [value(text) for text in row.locator("td").all_inner_texts()]
-        for row in rows
+        row.locator("th").inner_text(): [value(text) for text in row.locator("td").all_inner_texts()] for row in rows
     }
 
 
@@ -394,9 +378,7 @@ def test_p_map_has_three_sizes_and_says_where_there_is_none(view):
     page.keyboard.press("p")
     ready(page)
     assert "own limit alone" in caption.inner_text()
-    assert (
-        "this row has no p-map" in view("#term=direct&beside=p").locator("#right + figcaption").inner_text()
-    )
+    assert "this row has no p-map" in view("#term=direct&beside=p").locator("#right + figcaption").inner_text()
 
 
 @pytest.mark.parametrize("cell", [1, 2])
@@ -420,9 +402,7 @@ def test_inspector_shows_the_convergence_of_the_tile(view, run, cell):
     assert float(said.rpartition("reference ")[2]) == pytest.approx(right.mean(), rel=1e-3)
 
     def of(name, *attributes):
-        return np.array(
-            [[float(each.get_attribute(a)) for a in attributes] for each in svg.locator(name).all()]
-        )
+        return np.array([[float(each.get_attribute(a)) for a in attributes] for each in svg.locator(name).all()])
 
     points, ((middle,),) = of("circle", "cx", "cy"), of("line", "y1")
     assert np.ptp(np.diff(points[:, 0])) < 1e-6  # a logarithmic axis
@@ -630,21 +610,15 @@ def test_a_single_file_holds_every_page(context, run, tmp_path):
 
 @pytest.mark.parametrize("width", [800, 1300])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(
-    "name", ["index.html", "method.html", f"scenes/{SCENE}.html", f"scenes/{SCENE}.viewer.html"]
-)
+@pytest.mark.parametrize("name", ["index.html", "method.html", f"scenes/{SCENE}.html", f"scenes/{SCENE}.viewer.html"])
 def test_axe_finds_nothing_serious(browser, run, name, scheme, width):
-    context = browser.new_context(
-        color_scheme=scheme, offline=True, viewport={"width": width, "height": 1000}
-    )
+    context = browser.new_context(color_scheme=scheme, offline=True, viewport={"width": width, "height": 1000})
     page = opened(context, (run / name).as_uri()).page
     if "viewer" in name:
         ready(page)
     page.add_script_tag(content=AXE.read_text("utf-8"))
     page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
-    rules = (
-        "{runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa'], rules: {'landmark-unique': {enabled: true}}}"
-    )
+    rules = "{runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa'], rules: {'landmark-unique': {enabled: true}}}"
     found = page.evaluate(f"axe.run(document, {rules})")
     overflow = page.evaluate("document.documentElement.scrollWidth - innerWidth")
     context.close()

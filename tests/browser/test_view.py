@@ -159,9 +159,7 @@ def test_the_picture_is_that_of_render(page, small):
 
 def test_an_input_renders_what_it_touches(page, small):
     changed(page, "tall block", "roughness (Beckmann α)", "0.6")
-    np.testing.assert_array_equal(
-        pixels(page), shown(painted(load(small), "tall block", roughness=0.6))["total"]
-    )
+    np.testing.assert_array_equal(pixels(page), shown(painted(load(small), "tall block", roughness=0.6))["total"])
     assert "kept: ambient, direct" in page.locator("[role=status]").first.inner_text()
 
 
@@ -198,9 +196,7 @@ def test_a_variant_and_the_camera_too(page, small):
 def test_a_switch_changes_the_plan(page):
     page.get_by_text("Switches", exact=True).click()
     page.get_by_text("lighting", exact=True).click()
-    page.wait_for_function(
-        "document.querySelector('table[aria-label=Plan]').innerText.includes('lighting is off')"
-    )
+    page.wait_for_function("document.querySelector('table[aria-label=Plan]').innerText.includes('lighting is off')")
 
 
 def test_a_wrong_value_is_refused_in_its_place(page):
@@ -256,9 +252,7 @@ def test_saved_scene_and_copied_command_give_the_picture(page, folder, tmp_path)
     again = np.asarray(Image.open(tmp_path / "render" / "glossy.total.png"))
     np.testing.assert_array_equal(pixels(page), again)
     np.testing.assert_array_equal(np.asarray(Image.open(folder / "view" / "glossy.png")), again)
-    ours, theirs = (
-        read_exr(path) for path in (folder / "view" / "glossy.exr", tmp_path / "render" / "glossy.exr")
-    )
+    ours, theirs = (read_exr(path) for path in (folder / "view" / "glossy.exr", tmp_path / "render" / "glossy.exr"))
     for name, image in ours.items():
         assert image.tobytes() == theirs[name].tobytes()
 

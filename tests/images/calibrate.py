@@ -33,9 +33,7 @@ SSIM_SLACK = 1.5
 """Factor on the ceiling's distance from 1, for the same reason."""
 
 
-def default_images(
-    folder: Path, results: dict[str, Any]
-) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+def default_images(folder: Path, results: dict[str, Any]) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
     """Mean images (ours, own reference), each (H, W, 3) float64, of each scene's default variants and of their sum."""
     images = {}
     for scene in results["settings"]["scenes"]:

@@ -69,9 +69,7 @@ def _measure(chosen: study.Study, scenes: tuple[Scene, ...], folder: Path) -> Me
         results = run.measure(chosen, scenes, folder, name="images", report=lambda *_: None)
     rows = {}
     for row in results["cells"]:
-        rows.setdefault(
-            (row["against"], row["scene"], row["term"], row["variant"]), row
-        )  # the first has all samples
+        rows.setdefault((row["against"], row["scene"], row["term"], row["variant"]), row)  # the first has all samples
     pairs, found = {}, {}
     for scene in scenes:
         with xarray.open_dataset(folder / "results.nc", group=scene.name, engine="h5netcdf") as group:
@@ -117,9 +115,7 @@ def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureR
             header = {"software": "termwise", "scene": scene}
             write_exr(folder / f"{term} p-map {side}.exr", {"p-map": pixels}, header)
         signed, _ = pictures.relative_error(ours, reference)
-        Image.fromarray(pictures.diverge(signed, scale=pictures.error_scale([signed]))).save(
-            folder / "error.png"
-        )
+        Image.fromarray(pictures.diverge(signed, scale=pictures.error_scale([signed]))).save(folder / "error.png")
         again = f'{sys.executable} -m pytest "{request.node.nodeid}"'
         raise AssertionError(f"{error}\nimages: {folder}\nagain: {again}") from None
 
@@ -245,9 +241,7 @@ def _caught(folder: Path) -> set[tuple[str, str]]:
     return {(row["term"], row["variant"]) for row in run.failures({"cells": rows})}
 
 
-def test_a_failure_leaves_its_images(
-    measured: Measured, request: pytest.FixtureRequest, monkeypatch, tmp_path: Path
-):
+def test_a_failure_leaves_its_images(measured: Measured, request: pytest.FixtureRequest, monkeypatch, tmp_path: Path):
     monkeypatch.setattr(sys.modules[__name__], "FAILED", tmp_path)
     with (
         pytest.raises(AssertionError, match="again: .*test_images.py"),

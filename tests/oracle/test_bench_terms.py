@@ -58,10 +58,7 @@ def test_every_setting_converges_to_the_reference(name, term, scope, step):
 def test_a_tiny_run_says_all(tmp_path):
     """16 x 16 pixels of one term: the keys of cases and curves, and errors inside both sides' curves."""
     assert (
-        cli.measuring.terms(
-            scene=["monkey"], term=["ambient"], resolution=16, runs=1, seconds=0.01, out=tmp_path
-        )
-        == 0
+        cli.measuring.terms(scene=["monkey"], term=["ambient"], resolution=16, runs=1, seconds=0.01, out=tmp_path) == 0
     )
     measured = json.loads((tmp_path / "bench" / "terms.json").read_text("utf-8"))
     assert set(measured) >= {"cases", "curves", "machine"}

@@ -173,12 +173,7 @@ def test_triangle(mi):
 
 
 # At alpha = 0.1 and grazing view the lobe is too narrow for the cells: that case is tested over slopes.
-LOBES = [
-    (alpha, mu)
-    for alpha in (0.1, 0.3, 0.6, 1.0)
-    for mu in (0.05, 0.3, 0.8, 1.0)
-    if (alpha, mu) != (0.1, 0.05)
-]
+LOBES = [(alpha, mu) for alpha in (0.1, 0.3, 0.6, 1.0) for mu in (0.05, 0.3, 0.8, 1.0) if (alpha, mu) != (0.1, 0.05)]
 SLOPES = [(alpha, mu) for alpha in (1e-4, 0.01, 0.05) for mu in (1e-3, 0.05, 0.5, 1.0)] + [(0.1, 0.05)]
 
 
@@ -193,12 +188,8 @@ def test_beckmann_lobe(mi, alpha, mu_o):
     # A lobe of alpha 0.1 at normal view is 0.04 wide in cos(theta).
     cells, steps = (201, 12) if alpha < 0.2 else (51, 16)
     sample = lambda u, v: _lobe(u, v, wo, alpha)  # noqa: E731
-    must_accept(
-        chi2(mi, domain, sample, lambda x, y, z: _lobe_pdf(x, y, z, wo, alpha), cells=cells, steps=steps)
-    )
-    wider = chi2(
-        mi, domain, sample, lambda x, y, z: _lobe_pdf(x, y, z, wo, 1.3 * alpha), cells=cells, steps=steps
-    )
+    must_accept(chi2(mi, domain, sample, lambda x, y, z: _lobe_pdf(x, y, z, wo, alpha), cells=cells, steps=steps))
+    wider = chi2(mi, domain, sample, lambda x, y, z: _lobe_pdf(x, y, z, wo, 1.3 * alpha), cells=cells, steps=steps)
     assert not wider.accepted
 
 

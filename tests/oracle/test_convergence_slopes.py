@@ -26,9 +26,7 @@ from termwise.scenes.limits import correct
 from termwise.scenes.model import Camera, Material, Photons, PointLight, Scene
 
 
-def prefixes(
-    scene: Scene, term: str, variant: str, samples: int, count: int
-) -> tuple[np.ndarray, np.ndarray]:
+def prefixes(scene: Scene, term: str, variant: str, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """N = 1, 2, 4, ... `samples`, and the images (P, K, H, W, 3) of `count` replicates after each."""
     images, counts = [], []
     with Engine(scene, threads=1) as engine:
@@ -62,10 +60,7 @@ def test_independent_replicates(lobe):
     scene, exact = lobe
     with Engine(scene, threads=1) as engine:
         images = np.array(
-            [
-                next(iter(engine.prefixes(find("specular"), samples=1, seed=3, replicate=k)))[1]
-                for k in range(1024)
-            ]
+            [next(iter(engine.prefixes(find("specular"), samples=1, seed=3, replicate=k)))[1] for k in range(1024)]
         )
 
     def errors(images: np.ndarray) -> np.ndarray:

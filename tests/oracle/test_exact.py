@@ -35,9 +35,7 @@ def decided(case: exact.Case) -> tuple[dict[str, Any], dict[str, Any]]:
     desk.run(desk.jobs(looks.of_case(case)))
     own, correct = looks.exact_group(case, desk).rows
     assert own.statistics
-    return measurement.decided(own, own.statistics.tests, []), measurement.decided(
-        correct, own.statistics.tests, []
-    )
+    return measurement.decided(own, own.statistics.tests, []), measurement.decided(correct, own.statistics.tests, [])
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.name} {case.variant.name}")
@@ -54,9 +52,7 @@ def test_every_variant_has_its_limit(case: exact.Case):
 
 @pytest.mark.parametrize("group", ["furnace", "closed sphere", "disc over plane", "unit sphere"])
 def test_a_fault_of_two_percent_is_proven(group: str, monkeypatch: pytest.MonkeyPatch):
-    case = next(
-        each for each in CASES if each.group == group and each.variant.name in ("vndf", "cosine", "path")
-    )
+    case = next(each for each in CASES if each.group == group and each.variant.name in ("vndf", "cosine", "path"))
     intact = cells.read
 
     def spoilt(*arguments: Any, **settings: Any) -> cells.Cell:

@@ -112,9 +112,7 @@ def afresh(files: Path) -> None:
 def timeless(value: Any) -> Any:
     """JSON without its seconds, at any depth, those in sentences included."""
     if isinstance(value, dict):
-        return {
-            name: timeless(each) for name, each in value.items() if "seconds" not in name and name != "spent"
-        }
+        return {name: timeless(each) for name, each in value.items() if "seconds" not in name and name != "spent"}
     if isinstance(value, str):
         return re.sub(r"[\d.]+\s(?:ms|s|min|h|d)\b", "", value)
     return [timeless(each) for each in value] if isinstance(value, list) else value
@@ -126,9 +124,7 @@ def results(files: Path) -> Any:
 
 def pages(files: Path) -> list[str]:
     return sorted(
-        path.relative_to(files / "out").as_posix()
-        for path in (files / "out").rglob("[!.]*")
-        if path.is_file()
+        path.relative_to(files / "out").as_posix() for path in (files / "out").rglob("[!.]*") if path.is_file()
     )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from termwise.renderer import render
-from termwise.renderer.tiles import Engine
+from termwise.renderer.engine import Engine
 from termwise.reports.statistics.convergence import relative_error
 from termwise.reports.study import kernel_bias
 from termwise.scenes.analytic import plate
@@ -34,18 +34,14 @@ def test_the_interior_has_the_bias_of_the_laplacian():
     np.testing.assert_allclose(points[on_floor][:, 2], 0.0, atol=1e-6)
     # A floor alone: the class is known from the point.
     ends = 1.0 - np.abs(points[..., :2]).max(axis=-1)
-    expected = np.where(
-        ends < r, kernel_bias.CLASSES.index("boundary"), kernel_bias.CLASSES.index("interior")
-    )
+    expected = np.where(ends < r, kernel_bias.CLASSES.index("boundary"), kernel_bias.CLASSES.index("interior"))
     np.testing.assert_array_equal(classes, np.where(on_floor, expected, kernel_bias.UNSEEN))
 
     square = (points[..., :2] ** 2).sum(axis=-1)
     irradiance = np.where(on_floor, h * (h * h + square) ** -1.5, 0.0)
     laplacian = h * (9 * square - 6 * h * h) * (h * h + square) ** -3.5
     truth = np.repeat(irradiance[None, ..., None] * np.ones(3), 2, axis=0)
-    ours = np.stack(
-        [render(scene, "direct", variant="photon-map", samples=1, seed=seed).mean for seed in range(16)]
-    )
+    ours = np.stack([render(scene, "direct", variant="photon-map", samples=1, seed=seed).mean for seed in range(16)])
     weight = (1 - scene.objects[0].material.gloss) * np.array(scene.objects[0].material.color) / np.pi
     found = kernel_bias.shares(ours / weight, truth, classes)
     interior = classes == kernel_bias.CLASSES.index("interior")

@@ -69,15 +69,11 @@ def scenes(side: int = 16) -> dict[str, Scene]:
                 attrs.evolve(thing, mesh=attrs.evolve(thing.mesh, vertices=on_lattice(thing.mesh.vertices)))
                 for thing in scene.objects
             ),
-            lights=tuple(
-                attrs.evolve(light, position=vector(on_lattice(light.position))) for light in scene.lights
-            ),
+            lights=tuple(attrs.evolve(light, position=vector(on_lattice(light.position))) for light in scene.lights),
             photons=attrs.evolve(scene.photons, count=2000),
             resolution=(side, side),
         )
-    found["paper's choices"] = attrs.evolve(
-        found["two_cubes"], shadows="paper", ignore="object", irradiance="E"
-    )
+    found["paper's choices"] = attrs.evolve(found["two_cubes"], shadows="paper", ignore="object", irradiance="E")
     box = found["cornell_box_unshadowed"]
     found["full scattering"] = attrs.evolve(box, photons=attrs.evolve(box.photons, scattering="full"))
     return found
@@ -111,9 +107,7 @@ def brighter(scene: Scene, factor: float) -> Scene:
         lights=tuple(attrs.evolve(light, intensity=times(light.intensity)) for light in scene.lights),
         ambient=attrs.evolve(scene.ambient, color=times(scene.ambient.color)),
         sky=attrs.evolve(
-            scene.sky,
-            color=times(scene.sky.color),
-            texture=None if texture is None else texture * np.float32(factor),
+            scene.sky, color=times(scene.sky.color), texture=None if texture is None else texture * np.float32(factor)
         ),
     )
 
@@ -199,9 +193,7 @@ def test_lengths_times_a_power_of_two(term: Term, variant: str):
         image = rendered(scene, term, variant)
         assert image.any()
         for exponent in (-20, 13):
-            np.testing.assert_array_equal(
-                rendered(transformed(scene, scale=2.0**exponent), term, variant), image
-            )
+            np.testing.assert_array_equal(rendered(transformed(scene, scale=2.0**exponent), term, variant), image)
 
 
 def test_intensity_is_radiance_times_area():
@@ -255,9 +247,7 @@ def test_turned_to_rounding(term: Term, turn: str):
     variant = {"ambient": "constant", "direct": "next-event", "background": "seen"}[term]
     compared = 0
     for scene in suitable(term, variant):
-        scene = attrs.evolve(
-            scene, scope="first-hit", photons=attrs.evolve(scene.photons, scattering="diffuse")
-        )
+        scene = attrs.evolve(scene, scope="first-hit", photons=attrs.evolve(scene.photons, scattering="diffuse"))
         if term == "background" and turn == "axes permuted" and scene.sky.texture is not None:
             continue
         image = rendered(scene, term, variant)
@@ -387,9 +377,7 @@ def repainted(scene: Scene, name: str, **changes) -> Scene:
     return attrs.evolve(
         scene,
         objects=tuple(
-            attrs.evolve(thing, material=attrs.evolve(thing.material, **changes))
-            if thing.name == name
-            else thing
+            attrs.evolve(thing, material=attrs.evolve(thing.material, **changes)) if thing.name == name else thing
             for thing in scene.objects
         ),
     )
@@ -397,10 +385,7 @@ def repainted(scene: Scene, name: str, **changes) -> Scene:
 
 @pytest.mark.parametrize(
     ("field", "first", "second", "middle"),
-    [
-        ("color", (0.25, 0.5, 1.0), (0.75, 0.125, 0.0), (0.5, 0.3125, 0.5)),
-        ("gloss", 0.25, 0.75, 0.5),
-    ],
+    [("color", (0.25, 0.5, 1.0), (0.75, 0.125, 0.0), (0.5, 0.3125, 0.5)), ("gloss", 0.25, 0.75, 0.5)],
     ids=("color", "gloss"),
 )
 @pytest.mark.parametrize(

@@ -72,9 +72,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "cache_folder", lambda: files / "cache")
         patch.setattr(Engine, "prefixes", brighter)
-        patch.setattr(
-            "sys.argv", ["termwise", "compare", "--study", str(files / "study.toml"), "--out", str(files)]
-        )
+        patch.setattr("sys.argv", ["termwise", "compare", "--study", str(files / "study.toml"), "--out", str(files)])
         with pytest.raises(SystemExit):
             cli.main()
     return files
@@ -95,9 +93,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 
 def test_a_planted_bias_is_opened_where_it_is(folder: Path, command: Command):
-    status, output, _ = command(
-        "inspect", folder / "compare", "--term", "ambient", "--variant", "cosine", "--json"
-    )
+    status, output, _ = command("inspect", folder / "compare", "--term", "ambient", "--variant", "cosine", "--json")
     found = json.loads(output)
     assert status == 0
     assert (found["object"]["name"], found["tile"]["name"]) == ("box", "tile x 16-23, y 8-15")
@@ -115,24 +111,21 @@ def test_the_tree_ends_with_the_line_that_replays_it(folder: Path, command: Comm
     assert "ambient cosine: " in output
     assert "object box" in output
     line = output.splitlines()[-1]
-    assert line.startswith(
-        f"termwise replay --scene {folder / 'scene.toml'} --term ambient --variant cosine --x "
-    )
+    assert line.startswith(f"termwise replay --scene {folder / 'scene.toml'} --term ambient --variant cosine --x ")
     page = (folder / "compare" / "scenes" / "scene.html").read_text()
     assert f"<code>{line.partition(' --results ')[0]}</code>" in page
 
 
 def replayed(folder: Path, command: Command, term: str, variant: str) -> tuple[Any, dict[str, Any]]:
-    line = json.loads(
-        command("inspect", folder / "compare", "--term", term, "--variant", variant, "--json")[1]
-    )["replay"]
+    line = json.loads(command("inspect", folder / "compare", "--term", term, "--variant", variant, "--json")[1])[
+        "replay"
+    ]
     status, output, _ = command(*line.split()[1:], "--json")
     return status, json.loads(output)
 
 
 @pytest.mark.parametrize(
-    ("term", "variant"),
-    [("ambient", "paper"), ("direct", "next-event"), ("direct", "path"), ("specular", "vndf")],
+    ("term", "variant"), [("ambient", "paper"), ("direct", "next-event"), ("direct", "path"), ("specular", "vndf")]
 )
 def test_a_replay_is_what_the_run_stored(term: str, variant: str, folder: Path, command: Command):
     status, found = replayed(folder, command, term, variant)
@@ -158,9 +151,7 @@ def test_objects_are_the_weighted_means_of_their_images(folder: Path):
     with xarray.open_dataset(folder / "compare" / "results.nc", group="scene", engine="h5netcdf") as dataset:
         dataset = dataset.load()
     found = microscope.branch(dataset, "direct", "path")
-    cell = list(zip(dataset.cell_term.values, dataset.cell_variant.values, strict=True)).index(
-        ("direct", "path")
-    )
+    cell = list(zip(dataset.cell_term.values, dataset.cell_variant.values, strict=True)).index(("direct", "path"))
     weights = np.array([0.2126, 0.7152, 0.0722])
     ours = dataset.image.values[cell] @ weights
     reference = dataset.reference.values[int(dataset.own.values[cell])] @ weights

@@ -89,10 +89,7 @@ def test_progressive_error_falls_as_the_law_says(plane):
     runs, passes, radius = 300, 64, 0.4
     estimates = np.array(
         [
-            [
-                at_centre(plane, quadratic_photons(rng, 100), progressive_radius(radius, i))
-                for i in range(passes)
-            ]
+            [at_centre(plane, quadratic_photons(rng, 100), progressive_radius(radius, i)) for i in range(passes)]
             for _ in range(runs)
         ]
     )
@@ -124,16 +121,14 @@ def test_extrapolation_of_a_quadratic_irradiance(plane):
 
 @pytest.mark.parametrize("shape", ["uniform", "epanechnikov", "simpson"])
 def test_both_sides_make_the_same_of_the_same_photons(shape):
-    """Photons strewn over the monkey: E by the renderer and by the twin's density, to 1e-9, at points of its faces.
+    """Photons strewn over the monkey: E by the renderer and by the reference's density, to 1e-9, on its faces.
 
     The two share the definition of the surface whose photons and areas count, and no code.
     """
     scene = from_scene(load("monkey"))
     g = scene.geometry
     rng = np.random.default_rng(32)
-    area = np.linalg.norm(
-        np.cross(g.corners[:, 1] - g.corners[:, 0], g.corners[:, 2] - g.corners[:, 0]), axis=1
-    )
+    area = np.linalg.norm(np.cross(g.corners[:, 1] - g.corners[:, 0], g.corners[:, 2] - g.corners[:, 0]), axis=1)
 
     def strewn(count: int) -> tuple[np.ndarray, np.ndarray]:
         # As many on the small faces of the head as on the floor.
@@ -157,9 +152,7 @@ def test_both_sides_make_the_same_of_the_same_photons(shape):
     for i, expected in enumerate(theirs):
         normal = Vec3(*(side[i] * g.normals[query[i]]).tolist())
         point = Vec3(*points[i].tolist())
-        surface = Surface(
-            point, normal, normal, int(query[i]), int(g.object[query[i]]), float(side[i]), 0.0, 0.0
-        )
+        surface = Surface(point, normal, normal, int(query[i]), int(g.object[query[i]]), float(side[i]), 0.0, 0.0)
         found = estimate_irradiance(scene, photons, surface, SCRATCH)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * theirs.mean())
     assert (theirs > 0).any(axis=1).sum() > 50

@@ -118,9 +118,7 @@ def edge_distance(scene: Scene, film: np.ndarray, faces: np.ndarray) -> np.ndarr
             point = point + np.minimum(behind, 1)[:, None] * (back - point)
             depth = np.maximum(point @ forward, 1e-3)
             slope = 0.5 * width / (depth * np.tan(np.radians(scene.camera.fov) / 2))
-            ends.append(
-                np.stack([width / 2 + slope * (point @ right), height / 2 - slope * (point @ up)], -1)
-            )
+            ends.append(np.stack([width / 2 + slope * (point @ right), height / 2 - slope * (point @ up)], -1))
         start, edge = ends[0], ends[1] - ends[0]
         square = np.maximum((edge * edge).sum(-1), 1e-300)
         along = np.clip(((film - start) * edge).sum(-1) / square, 0, 1)

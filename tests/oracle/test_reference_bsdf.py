@@ -142,10 +142,7 @@ def test_roughconductor_agrees_for_constant_fresnel(alpha, mu):
     """Mitsuba's own lobe with F = 1 has the same albedo but for its rational G1, which is up to 0.3 % off."""
     own, _, _ = sampled(lobe(alpha), mu)
     built_in, _, _ = sampled(
-        mi.load_dict(
-            {"type": "roughconductor", "distribution": "beckmann", "alpha": alpha, "material": "none"}
-        ),
-        mu,
+        mi.load_dict({"type": "roughconductor", "distribution": "beckmann", "alpha": alpha, "material": "none"}), mu
     )
     noise = 4.5 * np.hypot(own.std(), built_in.std()) / np.sqrt(SAMPLES)
     assert own.mean() == pytest.approx(built_in.mean(), abs=0.003 * built_in.mean() + noise)

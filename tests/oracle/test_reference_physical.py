@@ -14,13 +14,9 @@ GLOSSY = Material(color=(0.8, 0.6, 0.3), gloss=0.5, roughness=0.3, f0=(1.0, 0.8,
 TEXTURE = np.random.default_rng(0).random((8, 16, 3)).astype(np.float32)
 
 
-def rectangle(
-    name: str, height: float, half: float, material: Material = GLOSSY, *, down: bool = False
-) -> Object:
+def rectangle(name: str, height: float, half: float, material: Material = GLOSSY, *, down: bool = False) -> Object:
     corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) + [0, 0, height]
-    return Object(
-        name, Mesh.from_arrays(corners, [[0, 2, 1], [0, 3, 2]] if down else [[0, 1, 2], [0, 2, 3]]), material
-    )
+    return Object(name, Mesh.from_arrays(corners, [[0, 2, 1], [0, 3, 2]] if down else [[0, 1, 2], [0, 2, 3]]), material)
 
 
 def lit_scene(sky: Sky) -> Scene:
@@ -38,9 +34,7 @@ def lit_scene(sky: Sky) -> Scene:
 
 
 @pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="a million paths, one by one")
-@pytest.mark.parametrize(
-    "sky", [Sky((0.2, 0.4, 0.8)), Sky(texture=TEXTURE, radius=6.0)], ids=["constant", "texture"]
-)
+@pytest.mark.parametrize("sky", [Sky((0.2, 0.4, 0.8)), Sky(texture=TEXTURE, radius=6.0)], ids=["constant", "texture"])
 def test_parts_add_up_to_plain_path(sky):
     """ambient + direct + specular = Mitsuba's `path` in the same scene, within the noise of 8 batches each."""
     scene = lit_scene(sky)

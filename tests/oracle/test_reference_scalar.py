@@ -51,9 +51,7 @@ def lamp_over_ground() -> Scene:
 def means(spp: int) -> dict[str, list[list[float]]]:
     """Mean colour of each replicate of each limit, in this process's backend."""
     scene = lamp_over_ground()
-    point = attrs.evolve(
-        scene, objects=scene.objects[:1], lights=(PointLight((0.0, 0.0, 1.0), (3.0, 2.0, 1.0)),)
-    )
+    point = attrs.evolve(scene, objects=scene.objects[:1], lights=(PointLight((0.0, 0.0, 1.0), (3.0, 2.0, 1.0)),))
     return {
         name: [
             reference.replicate(point if name == "point" else scene, limit, spp=spp, seed=4, replicate=k)

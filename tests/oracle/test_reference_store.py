@@ -46,13 +46,7 @@ def renders(monkeypatch) -> list[int]:
 def test_replicates_are_rendered_once(scene, renders, tmp_path):
     ticks = []
     first = store.replicates(
-        scene,
-        correct("direct", "all"),
-        spp=2,
-        seed=1,
-        count=2,
-        folder=tmp_path,
-        progress=lambda: ticks.append(1),
+        scene, correct("direct", "all"), spp=2, seed=1, count=2, folder=tmp_path, progress=lambda: ticks.append(1)
     )
     assert (renders, len(ticks)) == ([0, 1], 2)
     more = store.replicates(scene, correct("direct", "all"), spp=2, seed=1, count=3, folder=tmp_path)
@@ -69,9 +63,7 @@ def test_replicates_are_rendered_once(scene, renders, tmp_path):
 
 def test_constant_factors_and_irrelevant_fields_share_replicates(scene, renders, tmp_path):
     plain = store.replicates(scene, correct("ambient", "all"), spp=2, seed=1, count=1, folder=tmp_path)
-    other = attrs.evolve(
-        scene, name="other", lights=(), sky=Sky(), max_bounces=0, scope="first-hit", exposure=9.0
-    )
+    other = attrs.evolve(scene, name="other", lights=(), sky=Sky(), max_bounces=0, scope="first-hit", exposure=9.0)
     paper = store.replicates(other, Limit("ambient", factor=np.pi), spp=2, seed=1, count=1, folder=tmp_path)
     assert renders == [0]
     np.testing.assert_allclose(paper.images, np.pi * plain.images, rtol=1e-6)

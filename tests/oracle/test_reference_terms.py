@@ -17,9 +17,7 @@ WHITE = (1.0, 1.0, 1.0)
 SEED = 7
 
 
-def plane(
-    size: float = 4.0, material: Material | None = None, height: float = 0.0, name: str = "plane"
-) -> Object:
+def plane(size: float = 4.0, material: Material | None = None, height: float = 0.0, name: str = "plane") -> Object:
     corners = size / 2 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) + [0, 0, height]
     return Object(name, Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3]]), material or Material(color=WHITE))
 
@@ -50,17 +48,13 @@ def test_ambient_below_a_disc(radius, height):
     image = reference.replicate(scene, correct("ambient", "all"), spp=256, seed=SEED)
     expected = height**2 / (height**2 + radius**2)
     sigma = np.sqrt(expected * (1 - expected) / (4 * 256 * 256))
-    assert image.mean(dtype=float) == pytest.approx(
-        expected, abs=4.5 * sigma + 2e-4
-    )  # 2e-4: polygon, ray offset
+    assert image.mean(dtype=float) == pytest.approx(expected, abs=4.5 * sigma + 2e-4)  # 2e-4: polygon, ray offset
 
 
 @pytest.mark.parametrize("reach", [1.5, 1.2, 0.9])
 def test_ambient_range_ends_within_the_disc(reach):
     """A range between h and the rim: only directions with h / cos < range are hidden, AO = h² / range²."""
-    scene = Scene(
-        "disc", SPOT, (plane(), disc(3.0, 1.0)), ambient=Ambient(WHITE, range=reach), resolution=(16, 16)
-    )
+    scene = Scene("disc", SPOT, (plane(), disc(3.0, 1.0)), ambient=Ambient(WHITE, range=reach), resolution=(16, 16))
     image = reference.replicate(scene, correct("ambient", "all"), spp=256, seed=SEED)
     expected = min(1.0, 1.0 / reach**2)
     assert image.mean(dtype=float) == pytest.approx(expected, abs=4.5 * 0.5 / 512 + 2e-4)
@@ -89,11 +83,7 @@ def test_finite_range_agrees_with_the_built_in_integrator():
 def test_ambient_occlusion_off_is_the_weight_times_the_light():
     material = Material(color=(0.2, 0.5, 0.9), gloss=0.25)
     scene = Scene(
-        "off",
-        SPOT,
-        (plane(material=material), disc(1.0, 1.0)),
-        ambient=Ambient((1.0, 2.0, 3.0)),
-        resolution=(4, 4),
+        "off", SPOT, (plane(material=material), disc(1.0, 1.0)), ambient=Ambient((1.0, 2.0, 3.0)), resolution=(4, 4)
     )
     scene = attrs.evolve(scene, toggles=Toggles(ambient_occlusion=False))
     image = reference.replicate(scene, correct("ambient", "all"), spp=2, seed=SEED)
@@ -143,11 +133,7 @@ def test_specular_chain_in_a_closed_sphere(bounces, lobe):
     """
     material = Material(color=(0.5, 0.5, 0.5), gloss=0.6, roughness=0.05, f0=WHITE)
     scene = inside(
-        material,
-        lights=(),
-        ambient=Ambient(WHITE),
-        toggles=Toggles(ambient_occlusion=False),
-        max_bounces=bounces,
+        material, lights=(), ambient=Ambient(WHITE), toggles=Toggles(ambient_occlusion=False), max_bounces=bounces
     )
     image = reference.replicate(scene, Limit("specular", scope="all", lobe=lobe), spp=64, seed=SEED)
     q = 0.6 * lobe
@@ -172,9 +158,7 @@ LIMITS = {
 @pytest.mark.parametrize(("alpha", "mu_o", "f0"), FURNACES)
 def test_specular_limits_in_a_furnace(alpha, mu_o, f0, name):
     """A plate under a white sky, gloss .7: `gloss (lobe A + diffuse)` by quadrature, and the paper's rule on rings."""
-    scene = attrs.evolve(
-        furnace(roughness=alpha, mu_o=mu_o, f0=f0, gloss=0.7, color=0.5), resolution=(16, 16)
-    )
+    scene = attrs.evolve(furnace(roughness=alpha, mu_o=mu_o, f0=f0, gloss=0.7, color=0.5), resolution=(16, 16))
     image = reference.render(scene, LIMITS[name], spp=128, seed=SEED, replicates=8)
     expected = 0.7 * closed_forms.albedo(LIMITS[name], scene.objects[0].material, mu_o)[0]
     error = np.sqrt(image.variance[..., 0].mean()) / 16
@@ -195,9 +179,7 @@ def test_ambient_rings_below_a_disc(rings):
 
 
 def test_ambient_without_occlusion():
-    scene = Scene(
-        "disc", SPOT, (plane(), disc(1.0, 1.0)), ambient=Ambient((0.2, 0.4, 0.8)), resolution=(8, 8)
-    )
+    scene = Scene("disc", SPOT, (plane(), disc(1.0, 1.0)), ambient=Ambient((0.2, 0.4, 0.8)), resolution=(8, 8))
     image = reference.replicate(scene, Limit("ambient", occluded=False), spp=4, seed=SEED)
     np.testing.assert_allclose(image, np.broadcast_to((0.2, 0.4, 0.8), image.shape), rtol=1e-6)
 
@@ -230,9 +212,7 @@ def looked_up(sky: Sky, origins: np.ndarray, directions: np.ndarray) -> np.ndarr
     y = np.clip((0.5 - n[..., 2] / 2) * height - 0.5, 0, height - 1)
     i, j = np.floor(x).astype(int), np.minimum(np.floor(y).astype(int), height - 2)
     fx, fy = (x - i)[..., None], (y - j)[..., None]
-    row = [
-        (1 - fx) * sky.texture[j + k, i % width] + fx * sky.texture[j + k, (i + 1) % width] for k in (0, 1)
-    ]
+    row = [(1 - fx) * sky.texture[j + k, i % width] + fx * sky.texture[j + k, (i + 1) % width] for k in (0, 1)]
     return (1 - fy) * row[0] + fy * row[1]
 
 
@@ -302,17 +282,13 @@ def test_lights_are_black_surfaces_in_every_term():
     off = attrs.evolve(scene, toggles=Toggles(lighting=False))
     assert not reference.replicate(off, correct("direct", "first-hit"), spp=4, seed=SEED).any()
     same = reference.replicate(off, correct("ambient", "all"), spp=4, seed=SEED)
-    np.testing.assert_array_equal(
-        same, reference.replicate(scene, correct("ambient", "all"), spp=4, seed=SEED)
-    )
+    np.testing.assert_array_equal(same, reference.replicate(scene, correct("ambient", "all"), spp=4, seed=SEED))
 
 
 @pytest.fixture(scope="module")
 def cubes() -> Scene:
     box = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
-    cube = Object(
-        "cube", Mesh.from_arrays(box.vertices + [0, 0, 0.5], box.faces), Material(gloss=0.4, f0=WHITE)
-    )
+    cube = Object("cube", Mesh.from_arrays(box.vertices + [0, 0, 0.5], box.faces), Material(gloss=0.4, f0=WHITE))
     lamp = attrs.evolve(plane(0.5, height=-2.0, name="lamp"), emission=(9.0, 8.0, 7.0))
     lamp = attrs.evolve(
         lamp, mesh=attrs.evolve(lamp.mesh, vertices=-lamp.mesh.vertices, faces=lamp.mesh.faces[:, ::-1])
@@ -336,19 +312,13 @@ def moved(scene: Scene, scale: float, shift: np.ndarray) -> Scene:
 
     return attrs.evolve(
         scene,
-        camera=attrs.evolve(
-            scene.camera, position=point(scene.camera.position), target=point(scene.camera.target)
-        ),
+        camera=attrs.evolve(scene.camera, position=point(scene.camera.position), target=point(scene.camera.target)),
         objects=tuple(
             attrs.evolve(thing, mesh=Mesh.from_arrays(thing.mesh.vertices * scale + shift, thing.mesh.faces))
             for thing in scene.objects
         ),
         lights=tuple(
-            attrs.evolve(
-                light,
-                position=point(light.position),
-                intensity=tuple(x * scale**2 for x in light.intensity),
-            )
+            attrs.evolve(light, position=point(light.position), intensity=tuple(x * scale**2 for x in light.intensity))
             for light in scene.lights
         ),
         ambient=attrs.evolve(scene.ambient, range=scene.ambient.range * scale),
@@ -376,9 +346,7 @@ def test_seeds(cubes):
     for seed, number in [(1, 1), (2, 0), (2, 1)]:
         other = reference.replicate(cubes, limit, spp=4, seed=seed, replicate=number)
         assert (other != image).any(axis=-1).sum() > 0.5 * image.any(axis=-1).sum() > 50
-    seeds = {
-        reference.rng_seed(limit, 1, number) + i for number in range(64) for i in range(reference.PASSES)
-    }
+    seeds = {reference.rng_seed(limit, 1, number) + i for number in range(64) for i in range(reference.PASSES)}
     assert len(seeds) == 64 * reference.PASSES
 
 

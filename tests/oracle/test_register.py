@@ -51,16 +51,12 @@ def test_a_wrong_estimator_is_caught(tmp_path):
     scenes = subjects.scenes_of(small, ("cornell_box",))
     scenes = tuple(attrs.evolve(scene, scope="all") for scene in scenes)
     results = run.measure(small, scenes, tmp_path, name="quick", report=lambda what, done, total: None)
-    verdicts = {
-        row["variant"]: row for row in results["cells"] if row["term"] == "ambient" and row["verdict"]
-    }
+    verdicts = {row["variant"]: row for row in results["cells"] if row["term"] == "ambient" and row["verdict"]}
     assert verdicts["gamma-space"]["verdict"] == "BIASED"
     assert verdicts["gamma-space"]["bias"] < -0.05
     assert verdicts["cosine"]["verdict"] != "BIASED"
     prefixes = [
-        row["samples"]
-        for row in results["cells"]
-        if row["variant"] == "gamma-space" and row["against"] == "own"
+        row["samples"] for row in results["cells"] if row["variant"] == "gamma-space" and row["against"] == "own"
     ]
     assert sorted(prefixes) == [1, 2, 4]
 
@@ -90,9 +86,7 @@ def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path):
     (row,) = (row for row in results["cells"] if row["variant"] == "noisy" and row["verdict"])
     assert row["replicates"] > 4
     assert len(set(asked)) == len(asked)
-    (work,) = (
-        each for each in results["settings"]["scenes"]["two_cubes"]["work"] if each["variant"] == "noisy"
-    )
+    (work,) = (each for each in results["settings"]["scenes"]["two_cubes"]["work"] if each["variant"] == "noisy")
     assert len(asked) == 2 * work["replicates"]
 
 
@@ -194,11 +188,7 @@ def test_replicates_have_seeds_of_their_own_and_prefixes_share_them():
     variant = termwise.register("ambient", "noted", noted, lambda scene: Limit("ambient"))
     with Engine(attrs.evolve(load("cornell_box"), resolution=(4, 3))) as engine:
         for replicate in range(2):
-            assert [n for n, _, _ in engine.prefixes(variant, samples=4, seed=1, replicate=replicate)] == [
-                1,
-                2,
-                4,
-            ]
+            assert [n for n, _, _ in engine.prefixes(variant, samples=4, seed=1, replicate=replicate)] == [1, 2, 4]
     assert [samples for samples, _ in asked] == [1, 2, 4, 1, 2, 4]
     assert len({seed for _, seed in asked[:3]}) == len({seed for _, seed in asked[3:]}) == 1
     assert asked[0][1] != asked[3][1]

@@ -62,9 +62,7 @@ def test_a_pixel_beside_all_objects_is_the_sky(scene: Scene):
     empty = attrs.evolve(scene, objects=scene.objects[:1], lights=(), resolution=(4, 4))
     away = attrs.evolve(empty, camera=attrs.evolve(scene.camera, target=(0.0, 0.0, 100.0)))
     found = replay(away, VARIANTS["background"]["seen"], x=0, y=0, **SETTINGS)
-    assert (
-        found.value.tobytes() == rendered(away, VARIANTS["background"]["seen"], "next-event")[0, 0].tobytes()
-    )
+    assert found.value.tobytes() == rendered(away, VARIANTS["background"]["seen"], "next-event")[0, 0].tobytes()
     assert {event["event"] for event in found.samples[0].events} == {"camera ray", "miss", "adds"}
 
 

@@ -125,15 +125,7 @@ def compare(files: Path, patched: pytest.MonkeyPatch) -> Callable[..., Finished]
 
     def command(*arguments: str, out: str = "out", study_file: str = "study.toml") -> Finished:
         counts.update(computed=0, rendered=0)
-        argv = [
-            "termwise",
-            "compare",
-            "--study",
-            str(files / study_file),
-            "--out",
-            str(files / out),
-            *arguments,
-        ]
+        argv = ["termwise", "compare", "--study", str(files / study_file), "--out", str(files / out), *arguments]
         output, messages = io.StringIO(), io.StringIO()
         patched.setattr("sys.argv", argv)
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(messages):
@@ -187,9 +179,7 @@ def test_rows_are_those_of_the_study(results: dict[str, Any]):
 def test_verdicts_are_due_against_own_at_the_largest_count(results: dict[str, Any]):
     unjudged = {("direct", "paper")}  # it has no limit to be judged against
     for row in results["cells"]:
-        due = (
-            row["against"] == "own" and row["samples"] == 2 and (row["term"], row["variant"]) not in unjudged
-        )
+        due = row["against"] == "own" and row["samples"] == 2 and (row["term"], row["variant"]) not in unjudged
         assert (row["verdict"] is not None) == due, row
         measured = due and row["verdict"] != "ABSENT"
         for key in ("tests", "family_low", "family_high", "detectable_bias"):
@@ -199,10 +189,7 @@ def test_verdicts_are_due_against_own_at_the_largest_count(results: dict[str, An
 def test_the_error_against_light_transport_is_split(results: dict[str, Any]):
     """Four parts that add up, and a sum that is the row's own mean square error; a plane reflects nothing."""
     split = [row for row in results["cells"] if row["split"]]
-    assert {(row["term"], row["against"]) for row in split} == {
-        ("ambient", "physical"),
-        ("direct", "physical"),
-    }
+    assert {(row["term"], row["against"]) for row in split} == {("ambient", "physical"), ("direct", "physical")}
     for row in split:
         total = row["split"]["total"][0]
         parts = [row["split"][name][0] for name in ("model_gap", "cross", "bias", "variance")]
@@ -242,16 +229,12 @@ def test_paper_rows_predict_their_factors(results: dict[str, Any]):
 def test_bias_is_that_of_the_images(first: Finished, results: dict[str, Any]):
     """Signed, of the luminance, relative to the reference's mean, from the means in `results.nc`."""
     weights = np.array([0.2126, 0.7152, 0.0722])
-    rows = {
-        (r["term"], r["variant"]): r for r in results["cells"] if r["against"] == "own" and r["samples"] == 2
-    }
+    rows = {(r["term"], r["variant"]): r for r in results["cells"] if r["against"] == "own" and r["samples"] == 2}
     with xarray.open_dataset(first.folder / "results.nc", group="scene", engine="h5netcdf") as group:
         for index in range(group.sizes["cell"]):
             row = rows[str(group.cell_term[index].item()), str(group.cell_variant[index].item())]
             pair = group.image[index], group.reference[int(group.own[index])]
-            ours, reference = (
-                float(np.mean(each.values, axis=(0, 1), dtype=float) @ weights) for each in pair
-            )
+            ours, reference = (float(np.mean(each.values, axis=(0, 1), dtype=float) @ weights) for each in pair)
             if reference:
                 assert row["bias"] == pytest.approx(ours / reference - 1, abs=1e-5)
 
@@ -310,8 +293,7 @@ def test_dataset(first: Finished):
         summed = sum(
             group.image.sel(cell=i).values
             for i, pair in enumerate(zip(group.cell_term.values, group.cell_variant.values, strict=True))
-            if pair
-            in (("ambient", "cosine"), ("direct", "next-event"), ("specular", "vndf"), ("background", "seen"))
+            if pair in (("ambient", "cosine"), ("direct", "next-event"), ("specular", "vndf"), ("background", "seen"))
         )
         total = group.image.values[group.cell_term.values.tolist().index("total")]
         np.testing.assert_allclose(total, summed, rtol=1e-5, atol=1e-7)
@@ -320,9 +302,7 @@ def test_dataset(first: Finished):
 def test_term_images_have_named_parts_and_provenance(first: Finished, results: dict[str, Any]):
     path = first.folder / "images" / "scene.exr"
     parts = read_exr(path)
-    assert {"ambient.cosine", "direct.path", "specular.vndf", "background.seen", "total.default"} <= set(
-        parts
-    )
+    assert {"ambient.cosine", "direct.path", "specular.vndf", "background.seen", "total.default"} <= set(parts)
     assert {"reference.total", "reference.total physical"} <= set(parts)
     assert all(image.shape == (9, 12, 3) for image in parts.values())
     with OpenEXR.File(str(path)) as file:
@@ -427,9 +407,7 @@ def test_a_budget_charges_kept_seconds_so_that_a_second_run_decides_the_same(
     assert spent[0] == spent[1]
 
 
-def test_a_budget_shows_in_the_terminal_and_on_the_pages(
-    sequential_run: Finished, compare: Callable[..., Finished]
-):
+def test_a_budget_shows_in_the_terminal_and_on_the_pages(sequential_run: Finished, compare: Callable[..., Finished]):
     shown = compare("--budget", "1h", out="budget")
     assert shown.computed == 0
     assert "s to certify |bias| < 1%" in shown.output
@@ -448,9 +426,7 @@ def test_what_is_missing_is_computed_alone(first: Finished, compare: Callable[..
     kept[0].write_bytes(kept[0].read_bytes()[:100])
     kept[1].unlink()
     before = {path: path.stat().st_mtime_ns for path in kept[2:]}
-    assert compare(out="elsewhere", study_file="study.toml").computed == 0, (
-        "the report is whole and needs no cell"
-    )
+    assert compare(out="elsewhere", study_file="study.toml").computed == 0, "the report is whole and needs no cell"
     third = compare("--json", out="third")
     assert (third.computed, third.rendered) == (2, 0)
     assert {path: path.stat().st_mtime_ns for path in kept[2:]} == before
@@ -473,9 +449,7 @@ def test_a_damaged_report_is_written_again(first: Finished, compare: Callable[..
 
 
 def test_a_run_that_is_interrupted_goes_on(first: Finished, compare: Callable[..., Finished], files: Path):
-    (files / "seeded.toml").write_text(
-        (files / "study.toml").read_text().replace("scenes", "seed = 2\nscenes")
-    )
+    (files / "seeded.toml").write_text((files / "study.toml").read_text().replace("scenes", "seed = 2\nscenes"))
     intact: Any = cells.take
     calls = []
 
@@ -518,9 +492,7 @@ def test_the_digest_follows_study_and_scene(files: Path):
     assert len({run.digest(chosen, scenes, "scalar_rgb"), *changed}) == 1 + len(changed)
 
 
-def test_exit_status_1_where_an_error_is_proven(
-    compare: Callable[..., Finished], patched: pytest.MonkeyPatch
-):
+def test_exit_status_1_where_an_error_is_proven(compare: Callable[..., Finished], patched: pytest.MonkeyPatch):
     intact = cells.read
 
     def doubled(*arguments: Any, **settings: Any) -> cells.Cell:
@@ -531,9 +503,7 @@ def test_exit_status_1_where_an_error_is_proven(
         patch.setattr(cells, "read", doubled)
         outcome = compare("--json", out="doubled")
     assert outcome.status == 1
-    words = {
-        (r["term"], r["variant"]): r["verdict"] for r in json.loads(outcome.output)["cells"] if r["verdict"]
-    }
+    words = {(r["term"], r["variant"]): r["verdict"] for r in json.loads(outcome.output)["cells"] if r["verdict"]}
     assert words["ambient", "cosine"] == "BIASED"
 
 
@@ -553,9 +523,7 @@ def test_a_scene_that_fails_loses_no_others_results(compare: Callable[..., Finis
         outcome = compare(*both, "--json", out="broken")
         alone = compare(both[1], "--json", out="alone")
     assert outcome.status == 2
-    assert outcome.messages == (
-        "termwise: other: failed, and stands in no row: RuntimeError: no kernel for this\n"
-    )
+    assert outcome.messages == ("termwise: other: failed, and stands in no row: RuntimeError: no kernel for this\n")
     results = json.loads(outcome.output)
     assert results["failed"] == [{"scene": "other", "error": "RuntimeError: no kernel for this"}]
     assert {row["scene"] for row in results["cells"]} == set(results["settings"]["scenes"]) == {"scene"}
@@ -620,9 +588,7 @@ def _process(
 def _larger(files: Path, name: str) -> str:
     """A study that shares no replicate with the others."""
     text = (files / "study.toml").read_text()
-    (files / f"{name}.toml").write_text(
-        text.replace("[12, 9]", "[24, 18]").replace("scenes", "seed = 3\nscenes")
-    )
+    (files / f"{name}.toml").write_text(text.replace("[12, 9]", "[24, 18]").replace("scenes", "seed = 3\nscenes"))
     return f"{name}.toml"
 
 
@@ -631,11 +597,7 @@ def test_ctrl_c_is_one_line_and_the_same_command_goes_on(first: Finished, files:
     before = len(list(kept.rglob("[!.]*.np[yz]")))
     process = _process(files, larger, "signal")
     deadline = time.monotonic() + 120
-    while (
-        len(list(kept.rglob("[!.]*.np[yz]"))) == before
-        and process.poll() is None
-        and time.monotonic() < deadline
-    ):
+    while len(list(kept.rglob("[!.]*.np[yz]"))) == before and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     output, messages = process.communicate(timeout=120)

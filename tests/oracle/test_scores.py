@@ -29,9 +29,7 @@ def replicates(engine: Engine, variant: Variant, seed: int) -> np.ndarray:
     """Ours, (REPLICATES, H, W, 3)."""
     images = []
     for number in range(REPLICATES):
-        *_, (_, image, _) = engine.prefixes(
-            variant, samples=SAMPLES, seed=seed, replicate=number, chain="path"
-        )
+        *_, (_, image, _) = engine.prefixes(variant, samples=SAMPLES, seed=seed, replicate=number, chain="path")
         images.append(image)
     return np.array(images)
 

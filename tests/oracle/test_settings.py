@@ -45,22 +45,14 @@ def inside_out(scene: Scene) -> Scene:
 
 
 def agree(
-    scene: Scene,
-    term: str,
-    variant: str | None,
-    limit: Limit,
-    *,
-    chain: Chain = "path",
-    maps: int | None = None,
+    scene: Scene, term: str, variant: str | None, limit: Limit, *, chain: Chain = "path", maps: int | None = None
 ) -> float:
     """Ours against the limit by Mitsuba: no error proven, a bias within 5 standard errors; returns that mean."""
     estimator = find(term, variant)
     ours = []
     with renderer.Engine(scene) as engine:
         for replicate in range(16):
-            *_, (_, image, _) = engine.prefixes(
-                estimator, samples=16, seed=1, replicate=replicate, chain=chain
-            )
+            *_, (_, image, _) = engine.prefixes(estimator, samples=16, seed=1, replicate=replicate, chain=chain)
             ours.append(image)
     theirs = [reference.replicate(scene, limit, spp=maps or 64, seed=1, replicate=k) for k in range(16)]
     outcome = judge(ours, theirs)
@@ -221,7 +213,7 @@ def test_a_chain_of_the_paper_s_terms_against_its_twin(shadows: str):
     """Ambient without 1/π and the k nearest photons at the vertices, by Mitsuba's photons and a k-d tree."""
     scene = small("cornell_box_unshadowed", shadows=shadows)
     subject = Subject(scene, {"specular": (find("specular", "vndf"),)}, "paper")
-    study = Study(scenes=("cornell_box_unshadowed",), resolution=(24, 24), twin_maps=1)
+    study = Study(scenes=("cornell_box_unshadowed",), resolution=(24, 24), kernel_maps=1)
     limit = own_limit(study, subject, find("specular", "vndf"))
     assert limit.kernel is not None
     assert limit.ambient == math.pi

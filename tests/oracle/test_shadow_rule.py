@@ -56,10 +56,7 @@ def test_dark_points_have_the_whole_color_and_nothing_else(lamp: bool):
     lit = seen & (x < 0)
     assert dark.sum() > 20
     assert lit.sum() > 20
-    images = {
-        term: renderer.render(scene, term, samples=4).mean[..., 0]
-        for term in ("ambient", "direct", "specular")
-    }
+    images = {term: renderer.render(scene, term, samples=4).mean[..., 0] for term in ("ambient", "direct", "specular")}
     np.testing.assert_allclose(images["ambient"][dark], COLOR * AMBIENT, rtol=1e-12)
     np.testing.assert_allclose(images["ambient"][lit], COLOR * (1 - GLOSS) * AMBIENT, rtol=1e-12)
     assert (images["direct"][dark] == 0).all()

@@ -44,9 +44,7 @@ def test_no_tile_starves_and_no_more_is_spent_than_asked():
 
 def test_one_sample_is_enough_where_nothing_varies():
     """Of 3 x 3 tiles one corner varies: it and the three beside it have their counts, the others one sample."""
-    nine = [
-        Tile(x, y, x + SIDE, y + SIDE) for y in range(0, 3 * SIDE, SIDE) for x in range(0, 3 * SIDE, SIDE)
-    ]
+    nine = [Tile(x, y, x + SIDE, y + SIDE) for y in range(0, 3 * SIDE, SIDE) for x in range(0, 3 * SIDE, SIDE)]
     one = np.zeros((3 * SIDE, 3 * SIDE, 3))
     one[:SIDE, :SIDE] = 1.0
     np.testing.assert_array_equal(
@@ -70,7 +68,7 @@ def test_a_constant_sky_takes_one_sample(compiled, monkeypatch):
         given.append(shares(*arguments))
         return given[-1]
 
-    monkeypatch.setattr("termwise.renderer.tiles.shares", spied)
+    monkeypatch.setattr("termwise.renderer.engine.shares", spied)
     with Engine(scene, threads=2, adaptive=True, without=("window",)) as engine:
         *_, (_, image, _) = engine.prefixes(find("background"), samples=16, seed=1, replicate=0)
     assert (given[0] == 0.0).sum() == 20
@@ -88,9 +86,7 @@ def test_same_bits_for_any_threads_and_prefixes(compiled):
             images.append(
                 {
                     n: image
-                    for n, image, _ in engine.prefixes(
-                        find("ambient", None), samples=samples, seed=2, replicate=1
-                    )
+                    for n, image, _ in engine.prefixes(find("ambient", None), samples=samples, seed=2, replicate=1)
                 }
             )
     for n in (1, 2, 4, 8):
@@ -112,9 +108,7 @@ def tile_means(scene: Scene, term: str, *, samples: int, seed: int, **settings: 
     with Engine(attrs.evolve(scene, resolution=(32, 24)), **settings) as engine:
         stack = []
         for replicate in range(64):
-            *_, (_, image, _) = engine.prefixes(
-                find(term, None), samples=samples, seed=seed, replicate=replicate
-            )
+            *_, (_, image, _) = engine.prefixes(find(term, None), samples=samples, seed=seed, replicate=replicate)
             stack.append(image.reshape(3, 8, 4, 8, 3).mean(axis=(1, 3)).ravel())
     return np.array(stack)
 
@@ -128,8 +122,7 @@ def assert_same_mean(one: np.ndarray, other: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scene_name", "term"),
-    [("cornell_box", "ambient"), ("cornell_box", "specular"), ("two_cubes", "ambient")],
+    ("scene_name", "term"), [("cornell_box", "ambient"), ("cornell_box", "specular"), ("two_cubes", "ambient")]
 )
 def test_the_mean_is_not_moved(scene_name, term, compiled):
     if not compiled:

@@ -1,6 +1,6 @@
 """Photons aimed at the scene: the cone holds all of it, and fewer photons land the same flux.
 
-Rationale: an economy may change noise and time, never a mean. The flux that lands is compared with a closed form, the
+Rationale: an reduction may change noise and time, never a mean. The flux that lands is compared with a closed form, the
 image with the image of photons sent everywhere; a search for the k nearest, whose mean depends on how many photons are
 emitted, is left alone.
 """
@@ -132,9 +132,7 @@ def test_lights_of_both_kinds_are_picked_by_what_they_send(compiled):
     """A point light with a cone and one without: each photon carries the same power, the sum of both over the count."""
     scene = over_a_plate()
     near = PointLight((0.3, 0.2, 1e-3), (0.5, 0.5, 0.5))
-    inside = attrs.evolve(
-        scene, lights=(*scene.lights, near), objects=(*scene.objects, *closed_box().objects)
-    )
+    inside = attrs.evolve(scene, lights=(*scene.lights, near), objects=(*scene.objects, *closed_box().objects))
     found = emitters_of(scene), emitters_of(inside)
     assert found[0].share < 1.0
     assert found[1].share == 1.0
@@ -157,9 +155,7 @@ def test_lights_of_both_kinds_are_picked_by_what_they_send(compiled):
 def test_the_mean_image_is_that_of_all_photons(term, variant, compiled):
     """Replicates aimed and not: the difference of the means within 4.5 standard errors, and fewer photons."""
     scene = attrs.evolve(load("monkey"), resolution=(12, 12) if compiled else (3, 3))
-    scene = attrs.evolve(
-        scene, photons=attrs.evolve(scene.photons, count=8000 if compiled else 40, radius=0.3)
-    )
+    scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=8000 if compiled else 40, radius=0.3))
     means, photons = [], []
     for without in ((), ("aimed",)):
         with Engine(scene, without=without) as engine:
@@ -177,7 +173,7 @@ def test_the_mean_image_is_that_of_all_photons(term, variant, compiled):
     assert photons[0] == passes * math.ceil(scene.photons.count * emitters_of(scene).share)
     variants: dict[Term, Variant] = {each: find(each, variant if each == term else None) for each in TERMS}
     steps = plan(scene, variants, samples=4)
-    saved = next(step.saved for step in steps if (step.term, step.kind) == (term, "economy"))
+    saved = next(step.saved for step in steps if (step.term, step.kind) == (term, "variance reduction"))
     assert saved == {"photons": (photons[1] - photons[0]) // (24 if compiled else 4)}
 
 
@@ -189,8 +185,6 @@ def test_the_k_nearest_are_not_aimed(variant, compiled):
     images = []
     for without in ((), ("aimed",)):
         with Engine(scene, without=without) as engine:
-            images.append(
-                list(engine.prefixes(find("direct", variant), samples=2, seed=1, replicate=0))[-1][1]
-            )
+            images.append(list(engine.prefixes(find("direct", variant), samples=2, seed=1, replicate=0))[-1][1])
             assert engine.counts["photons"] == 2 * scene.photons.count
     assert images[0].tobytes() == images[1].tobytes()

@@ -63,12 +63,7 @@ def test_llvm_libraries_user_first_then_fetched_newest_first_and_each_once(fetch
 
 def test_preload_opens_dependencies_first_prefers_the_system_and_ends(fetched, monkeypatch):
     """Of a, which needs b, which needs c; one that never opens; and one that the system has as well."""
-    needs = {
-        "liba.so.1": "libb.so.1",
-        "libb.so.1": "libc.so.1",
-        "libc.so.1": None,
-        "libbroken.so.1": "libnone.so",
-    }
+    needs = {"liba.so.1": "libb.so.1", "libb.so.1": "libc.so.1", "libc.so.1": None, "libbroken.so.1": "libnone.so"}
     for name in [*needs, "libsystem.so.6", "libLLVM.so.19.1"]:
         (fetched / name).touch()
     opened = []
@@ -157,9 +152,7 @@ def two_llvms(monkeypatch):
     works = ["good"]
     monkeypatch.setattr(native, "lacks_libatomic", lambda: False)
     monkeypatch.setattr(native, "llvm_libraries", lambda: [Path("bad"), Path("good")])
-    monkeypatch.setattr(
-        backend, "probe", lambda variant, llvm=None: backend.PASSED if str(llvm) in works else "broke"
-    )
+    monkeypatch.setattr(backend, "probe", lambda variant, llvm=None: backend.PASSED if str(llvm) in works else "broke")
     return works
 
 
@@ -171,9 +164,7 @@ def test_scalar_names_each_failure_and_what_to_install(two_llvms):
     two_llvms.clear()
     variant, llvm_path, reason = backend.choose()
     assert (variant, llvm_path) == ("scalar_rgb", None)
-    assert all(
-        part in reason for part in ("bad: broke", "good: broke", f"install libllvm{native.FETCHED_LLVM}")
-    )
+    assert all(part in reason for part in ("bad: broke", "good: broke", f"install libllvm{native.FETCHED_LLVM}"))
 
 
 @pytest.mark.parametrize("variant", ["llvm_ad_rgb", "cuda_ad_rgb"])
@@ -191,9 +182,7 @@ def test_variable_forces_the_variant_and_an_argument_goes_before_it(two_llvms, m
 
 def test_unknown_variant_is_named_with_what_is_allowed(monkeypatch):
     monkeypatch.setenv("TERMWISE_BACKEND", "llvm")
-    with pytest.raises(
-        ValueError, match="TERMWISE_BACKEND: 'llvm' is not one of cuda_ad_rgb, llvm_ad_rgb, scalar"
-    ):
+    with pytest.raises(ValueError, match="TERMWISE_BACKEND: 'llvm' is not one of cuda_ad_rgb, llvm_ad_rgb, scalar"):
         backend.choose()
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from termwise.reports import cli
-from termwise.reports.bench import common, curves, economies, scaling, terms, view
+from termwise.reports.bench import common, curves, equal_error, reductions, scaling, view
 from termwise.reports.bench.worker import Load
 from termwise.reports.pages import bench as page
 from termwise.reports.progress import silent
@@ -67,13 +67,13 @@ def test_the_error_of_the_truth_is_taken_away():
 
 def test_the_truth_leans_on_the_quieter_side():
     """Variance of the mean over runs: (1 + 1) / (2 - 1) / 2 = 1 for 1 and 3."""
-    mean, noise = terms._mean_and_noise(np.array([1.0, 3.0]).reshape(2, 1, 1, 1))
+    mean, noise = equal_error._mean_and_noise(np.array([1.0, 3.0]).reshape(2, 1, 1, 1))
     assert (float(mean.squeeze()), noise) == (2.0, 1.0)
 
 
 def test_every_right_estimator_is_a_case():
     """Direct twice, by scope; with all bounces a kernel estimate and an unbiased one."""
-    found = list(terms.cases(("cornell_box", "monkey"), ("ambient", "direct", "specular"), 8))
+    found = list(equal_error.cases(("cornell_box", "monkey"), ("ambient", "direct", "specular"), 8))
     assert [(case.scene.name, case.variant.term, case.scope, case.label) for case in found] == [
         ("cornell_box", "ambient", None, "cosine"),
         ("cornell_box", "direct", "first-hit", "next-event"),
@@ -88,7 +88,7 @@ def test_every_right_estimator_is_a_case():
         ("monkey", "specular", "all", "vndf+path"),
     ]
     assert [case.kernel_based for case in found if case.label == "next-event"] == [False, True] * 2
-    assert set(terms.TERMS) < set(TERMS)
+    assert set(equal_error.TERMS) < set(TERMS)
 
 
 def test_spread_is_median_and_ends():
@@ -111,11 +111,11 @@ def test_spread_is_median_and_ends():
         (["scaling", "--runs", "0"], ["runs = 0", "at least 1"]),
         (["scaling", "--threads", "-2"], ["threads = -2", "at least 1"]),
         (
-            ["economies", "--economy", "thrift"],
-            ["economy = 'thrift'", "aimed, lights, splitting, roulette, adaptive"],
+            ["reductions", "--reduction", "thrift"],
+            ["reduction = 'thrift'", "aimed, lights, splitting, roulette, adaptive"],
         ),
-        (["economies", "--scene", "teapot"], ["scene = 'teapot'", "two_cubes", "monkey"]),
-        (["economies", "--batches", "0"], ["batches = 0", "at least 1"]),
+        (["reductions", "--scene", "teapot"], ["scene = 'teapot'", "two_cubes", "monkey"]),
+        (["reductions", "--batches", "0"], ["batches = 0", "at least 1"]),
         (["rays", "--mesh", "teapot"], ["mesh = 'teapot'", "boxes"]),
         (["rays", "--pairs", "0"], ["pairs = 0", "at least 1"]),
         (["rays", "--count", "0"], ["count = 0", "at least 1"]),
@@ -141,9 +141,7 @@ def test_bad_input_is_one_line(arguments, named, monkeypatch, capsys, tmp_path):
 
 def test_a_tiny_scaling_run_says_all(monkeypatch, tmp_path):
     """One load of 4 x 4 pixels on two axes, in processes of their own: times, memory, and threads beside processes."""
-    tiny = scaling.Axis(
-        {16: Load("two_cubes", "ambient", resolution=4, samples=2)}, "sample", lambda load: 32
-    )
+    tiny = scaling.Axis({16: Load("two_cubes", "ambient", resolution=4, samples=2)}, "sample", lambda load: 32)
     monkeypatch.setattr(scaling, "AXES", {"pixels": tiny, "threads": tiny})
     assert cli.measuring.scaling(axis=["pixels", "threads"], runs=2, threads=2, out=tmp_path) == 0
     measured = json.loads((tmp_path / "bench" / "scaling.json").read_text("utf-8"))
@@ -160,22 +158,18 @@ def test_a_tiny_scaling_run_says_all(monkeypatch, tmp_path):
     assert (tmp_path / "bench" / "index.html").is_file()
 
 
-def test_a_tiny_run_of_economies_says_all(compiled):
-    """4 x 4 pixels, two batches: economies with the estimators they serve, cost the product of a batch's two ratios."""
+def test_a_tiny_run_of_reductions_says_all(compiled):
+    """4 x 4 pixels, two batches: reductions with the estimators they serve, cost the product of two ratios."""
     if not compiled:
         pytest.skip("photon maps of thousands of photons")
-    found = economies.measure(scenes=("monkey", "cornell_box"), resolution=4, batches=2)
+    found = reductions.measure(scenes=("monkey", "cornell_box"), resolution=4, batches=2)
     rows = found["cases"]
-    assert {row["economy"] for row in rows if row["scene"] == "monkey"} == {
+    assert {row["reduction"] for row in rows if row["scene"] == "monkey"} == {
         *("aimed", "splitting", "roulette", "adaptive")
     }
     # The box hides its light from nothing: no photon of it misses the scene.
-    assert {row["economy"] for row in rows if row["scene"] == "cornell_box"} == {
-        "splitting",
-        "roulette",
-        "adaptive",
-    }
-    names = [tuple(row[name] for name in ("scene", "economy", "term", "variant")) for row in rows]
+    assert {row["reduction"] for row in rows if row["scene"] == "cornell_box"} == {"splitting", "roulette", "adaptive"}
+    names = [tuple(row[name] for name in ("scene", "reduction", "term", "variant")) for row in rows]
     assert len(set(names)) == len(names)
     for row in rows:
         for name in ("variance", "seconds", "cost"):
@@ -189,13 +183,9 @@ def test_a_tiny_run_of_view_says_all(compiled):
     """8 x 8 pixels: each input of each scene, and memory at a tenth of the changes and at all of them."""
     if not compiled:
         pytest.skip("photon maps of thousands of photons")
-    found = view.measure(
-        scenes=("cornell_box", "monkey"), changes=2, memory_changes=10, resolution=8, report=silent
-    )
+    found = view.measure(scenes=("cornell_box", "monkey"), changes=2, memory_changes=10, resolution=8, report=silent)
     assert [(case["scene"], case["input"]) for case in found["cases"]] == [
-        (name, what)
-        for name in ("cornell_box", "monkey")
-        for what in ("camera", "roughness", "gloss", "light")
+        (name, what) for name in ("cornell_box", "monkey") for what in ("camera", "roughness", "gloss", "light")
     ]
     for case in found["cases"]:
         assert 0.0 < case["seconds_low"] <= case["seconds"] <= case["seconds_high"]
@@ -216,13 +206,7 @@ def made(folder, *names):
     """Files of benchmarks as runs write them."""
     case = {"scene": "monkey", "term": "direct", "scope": "all", "variant": "path <1>", "target_rmse": 0.15}
     case |= {"ours_s": 0.2, "mitsuba_s": 0.3, "mitsuba_setting": "ldsampler rr", "speedup": 1.5}
-    case |= {
-        "speedup_low": 1.25,
-        "speedup_high": 2.0,
-        "floor": 0.01,
-        "truth_rmse": 0.001,
-        "truth_differs": 0.0,
-    }
+    case |= {"speedup_low": 1.25, "speedup_high": 2.0, "floor": 0.01, "truth_rmse": 0.001, "truth_differs": 0.0}
     rays = {"mesh": "boxes", "triangles": 36, "kind": "primary", "ours_mrays": 20.0, "mitsuba_mrays": 10.0}
     rays |= {"ratio": 2.0, "ratio_low": 1.5, "ratio_high": 2.5, "ratio_processor": 2.1, "ratio_default": 1.1}
     row = {"axis": "pixels", "seconds": 0.1, "seconds_low": 0.09, "seconds_high": 0.2, "unit": "sample"}
@@ -255,9 +239,9 @@ def made(folder, *names):
             ],
             "settings": {"runs": 3},
         },
-        "economies": {
+        "reductions": {
             "cases": [
-                {"scene": "monkey", "economy": "aimed", "term": "direct", "variant": "path <1>"}
+                {"scene": "monkey", "reduction": "aimed", "term": "direct", "variant": "path <1>"}
                 | {"variance": 1.0, "variance_low": 0.9, "variance_high": 1.1}
                 | {"seconds": 0.6, "seconds_low": 0.5, "seconds_high": 0.7}
                 | {"cost": 0.62, "cost_low": 0.45, "cost_high": 0.77, "verdict": "EQUIVALENT"}
@@ -279,9 +263,7 @@ def made(folder, *names):
         (folder / f"{name}.json").write_text(text)
 
 
-@pytest.mark.parametrize(
-    "names", [("terms",), ("rays",), ("scaling",), ("economies",), ("view",), page.NAMES]
-)
+@pytest.mark.parametrize("names", [("terms",), ("rays",), ("scaling",), ("reductions",), ("view",), page.NAMES])
 def test_the_page_shows_whatever_exists(names, tmp_path):
     made(tmp_path, *names)
     text = page.write(tmp_path).read_text("utf-8")
@@ -299,7 +281,7 @@ def test_the_page_shows_whatever_exists(names, tmp_path):
     if "scaling" in names:
         assert "0.97" in text
         assert "2 processes" in text
-    if "economies" in names:
+    if "reductions" in names:
         assert "0.62" in text
         assert "EQUIVALENT" in text
     if "view" in names:
@@ -311,7 +293,7 @@ def test_the_page_shows_whatever_exists(names, tmp_path):
 def test_an_empty_folder_or_a_broken_file_is_refused(tmp_path):
     with pytest.raises(
         ValueError,
-        match=r"no benchmark: allowed are terms.json, rays.json, scaling.json, economies.json, view.json",
+        match=r"no benchmark: allowed are equal_error.json, rays.json, scaling.json, reductions.json, view.json",
     ):
         page.write(tmp_path)
     (tmp_path / "rays.json").write_text("{")

@@ -32,9 +32,7 @@ def test_rays_are_those_of_the_model(rule):
 def test_near_plane_of_the_paper():
     """The film's corners are `near` ahead and `width = 2 near tan(fov / 2)`, `width / aspect` apart: restated."""
     directions = CAMERA.rays(np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5]]), aspect=1.6)
-    forward = np.subtract(CAMERA.target, CAMERA.position) / np.linalg.norm(
-        np.subtract(CAMERA.target, CAMERA.position)
-    )
+    forward = np.subtract(CAMERA.target, CAMERA.position) / np.linalg.norm(np.subtract(CAMERA.target, CAMERA.position))
     np.testing.assert_allclose(directions[4], forward, atol=1e-15)
     on_plane = directions * (CAMERA.near / (directions @ forward))[:, None]
     width = 2 * CAMERA.near * np.tan(np.radians(71.0) / 2)

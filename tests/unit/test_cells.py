@@ -43,11 +43,7 @@ class Recorder:
         for count in counts:
             if replicate == self.interrupt_at and count == samples:
                 raise KeyboardInterrupt
-            yield (
-                count,
-                np.random.default_rng((seed, replicate, count)).random((height, width, 3)),
-                0.5 * count,
-            )
+            yield (count, np.random.default_rng((seed, replicate, count)).random((height, width, 3)), 0.5 * count)
 
     def kernels_of(self, variant: Any, *, chain: str) -> tuple[str, ...]:
         return ("a", chain)
@@ -151,9 +147,7 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     "another format": lambda path: path.write_text("not an archive"),
     "an unknown compression": _unknown_compression,
     "without seconds": lambda path: np.savez(path, images=np.zeros((3, 2, 3, 3), np.float32)),
-    "of another size": lambda path: np.savez(
-        path, images=np.zeros((3, 5, 5, 3), np.float32), seconds=np.zeros(3)
-    ),
+    "of another size": lambda path: np.savez(path, images=np.zeros((3, 5, 5, 3), np.float32), seconds=np.zeros(3)),
     "missing": lambda path: path.unlink(),
 }
 

@@ -98,10 +98,7 @@ SMALL = "--samples", 1, "--resolution", 4, 4
         (["render", "scene.toml", "--resolution", 4], ["--resolution = 4", "allowed are 2 values"]),
         (["render", "scene.toml", "--term", "glow"], ["term = 'glow'", "ambient", "specular"]),
         (["render", "scene.toml", "--variant", "paper"], ["variant = 'paper'", "--term"]),
-        (
-            ["render", "scene.toml", "--term", "ambient", "--variant", "glow"],
-            ["variant = 'glow'", "cosine", "paper"],
-        ),
+        (["render", "scene.toml", "--term", "ambient", "--variant", "glow"], ["variant = 'glow'", "cosine", "paper"]),
         (["render", "scene.toml", *SMALL, "--out", "file"], ["file/render", "is a file"]),
         (["render", "scene.toml", *SMALL, "--out", "/dev/full"], ["/dev/full/render", "is a file"]),
         (["reference", "scene.toml", "--spp", 0], ["spp = 0", "at least 1"]),
@@ -161,20 +158,12 @@ def test_bad_arguments(arguments: list[Any], named: list[str], run: Command):
         ("position = [0, -4, 1]", "position = [0, 0, 1]", ["camera", "up = ", "parallel"]),
         ("position = [0, -4, 1]", "", ["camera.position: is missing"]),
         ("[camera]", "[camera]\nfov = 180", ["camera", "fov = 180.0", "(0, 180)"]),
-        (
-            "[camera]",
-            '[camera]\npixel = "middle"',
-            ["camera.pixel = 'middle'", "'corner' or 'centre' or 'jitter'"],
-        ),
+        ("[camera]", '[camera]\npixel = "middle"', ["camera.pixel = 'middle'", "'corner' or 'centre' or 'jitter'"]),
         ("size = [1, 1, 1]", "size = [1, 0, 1]", ["objects[0]", "size = (1.0, 0.0, 1.0)", "(0, inf)"]),
         ("size = [1, 1, 1]", "", ["objects[0]", "size: is missing"]),
         ('shape = "box"', 'shape = "torus"', ["objects[0]", "'torus'", "rectangle, box, sphere, mesh"]),
         ('name = "box"', 'name = "box"\ngloss = 1.2', ["objects[0]", "gloss = 1.2", "[0, 1]"]),
-        (
-            'name = "box"',
-            'name = "box"\nroughness = -0.1',
-            ["objects[0]", "roughness = -0.1", "[0.0001, 1.5]"],
-        ),
+        ('name = "box"', 'name = "box"\nroughness = -0.1', ["objects[0]", "roughness = -0.1", "[0.0001, 1.5]"]),
         ('name = "box"', "name = 3", ["objects[0].name = 3", "a string"]),
         ("[camera]", "max_bounces = -1\n[camera]", ["max_bounces = -1", "[0, 64]"]),
         ("[camera]", "max_bounces = 1.0\n[camera]", ["max_bounces = 1.0", "an integer"]),
@@ -186,11 +175,7 @@ def test_bad_arguments(arguments: list[Any], named: list[str], run: Command):
         ("[camera]", '[sky]\ntexture = "no.exr"\n[camera]', ["sky", "'no.exr'", "no such file"]),
         ("[camera]", '[sky]\ntexture = "no.ply"\n[camera]', ["sky", "'no.ply'", "not an OpenEXR"]),
         *(
-            (
-                'shape = "box"\nname = "box"\nsize = [1, 1, 1]',
-                f'shape = "mesh"\nname = "box"\nfile = "{file}"',
-                named,
-            )
+            ('shape = "box"\nname = "box"\nsize = [1, 1, 1]', f'shape = "mesh"\nname = "box"\nfile = "{file}"', named)
             for file, named in (
                 ("none.ply", ["'box'", "'none.ply'", "no such file"]),
                 ("no.ply", ["'box'", "'no.ply'"]),
@@ -242,9 +227,7 @@ def test_render_writes_its_terms_and_their_sum(run: Command):
     assert all(image.shape == (4, 5, 3) for image in parts.values())
     assert parts["ambient"].any()
     np.testing.assert_array_equal(parts["total"], parts["ambient"])  # no light, no gloss, no sky
-    np.testing.assert_allclose(
-        result["terms"]["ambient"]["mean"], parts["ambient"].mean(axis=(0, 1)), rtol=1e-6
-    )
+    np.testing.assert_allclose(result["terms"]["ambient"]["mean"], parts["ambient"].mean(axis=(0, 1)), rtol=1e-6)
     assert [Path(name).is_file() for name in result["files"]] == [True, True]
 
 
@@ -324,9 +307,7 @@ def test_judge_takes_folders_and_writes_a_page(run: Command, replicates: Callabl
 def test_judge_of_a_renderer_without_noise(run: Command, replicates: Callable[..., list[str]]):
     (image,), reference = replicates("ours", seed=1, count=1, noise=1e-6), replicates("ref", seed=2)
     copies = [image] * 4
-    refused(
-        run("judge", *copies, "--reference", *reference), "ours", "same image", "equal seeds", "--noiseless"
-    )
+    refused(run("judge", *copies, "--reference", *reference), "ours", "same image", "equal seeds", "--noiseless")
     outcome = run("judge", *copies, "--reference", *reference, "--noiseless", "--json")
     assert outcome.status == 0
     assert any("free of noise" in line for line in outcome.messages)
@@ -334,9 +315,7 @@ def test_judge_of_a_renderer_without_noise(run: Command, replicates: Callable[..
 
 def test_judge_of_nothing_is_absent(run: Command, replicates: Callable[..., list[str]]):
     black = replicates("black", seed=1, count=4, gain=0.0, size=9)
-    outcome = run(
-        "judge", *black, "--reference", *replicates("none", seed=2, count=4, gain=0.0, size=9), "--json"
-    )
+    outcome = run("judge", *black, "--reference", *replicates("none", seed=2, count=4, gain=0.0, size=9), "--json")
     assert (outcome.status, json.loads(outcome.output)["verdict"]) == (0, "ABSENT")
     assert "p-map" not in Path("out/judge/index.html").read_text("utf-8")
 
@@ -373,10 +352,7 @@ def test_judge_with_an_exact_reference(run: Command, replicates: Callable[..., l
 
 
 def test_judge_refuses(run: Command, replicates: Callable[..., list[str]]):
-    ours, reference = (
-        replicates("ours", seed=1, count=4, size=12),
-        replicates("ref", seed=2, count=4, size=12),
-    )
+    ours, reference = (replicates("ours", seed=1, count=4, size=12), replicates("ref", seed=2, count=4, size=12))
     wide = replicates("wide", seed=3, count=4, size=16)
     refused(run("judge", *ours[:3], "--reference", *reference), "ours: 3 replicates", "at least 4")
     refused(run("judge", ours[0], "--reference", *reference), "ours: 1 replicate", "seed of its own")
@@ -388,10 +364,7 @@ def test_judge_refuses(run: Command, replicates: Callable[..., list[str]]):
 
 
 def test_judge_and_invalid_pixels(run: Command, replicates: Callable[..., list[str]]):
-    ours, reference = (
-        replicates("ours", seed=1, count=4, size=12),
-        replicates("ref", seed=2, count=4, size=12),
-    )
+    ours, reference = (replicates("ours", seed=1, count=4, size=12), replicates("ref", seed=2, count=4, size=12))
     (image,) = read_exr(Path(ours[1])).values()
     image[5, 7, 2] = np.nan
     write_exr(Path(ours[1]), {"image": image}, {})
@@ -411,10 +384,7 @@ def test_judge_chooses_a_part(run: Command, replicates: Callable[..., list[str]]
         write_exr(Path(files[-1]), {"direct": rng.random((12, 12, 3)), "glow": np.zeros((12, 12, 3))}, {})
     refused(run("judge", *files, "--reference", *reference), files[0], "part = None", "'direct', 'glow'")
     refused(
-        run("judge", *files, "--reference", *reference, "--part", "all"),
-        files[0],
-        "part = 'all'",
-        "'direct', 'glow'",
+        run("judge", *files, "--reference", *reference, "--part", "all"), files[0], "part = 'all'", "'direct', 'glow'"
     )
     assert run("judge", *files, "--reference", *files[:1], "--reference-exact", "--part", "glow").status == 0
 
@@ -426,8 +396,7 @@ def test_judge_needs_colour(run: Command):
 
 
 @pytest.mark.parametrize(
-    ("text", "seconds"),
-    [("90", 90), ("90s", 90), ("2m", 120), ("1h", 3600), ("0.5m", 30), (".5", 0.5)],
+    ("text", "seconds"), [("90", 90), ("90s", 90), ("2m", 120), ("1h", 3600), ("0.5m", 30), (".5", 0.5)]
 )
 def test_budgets_are_read_in_seconds_minutes_and_hours(
     text: str, seconds: float, run: Command, monkeypatch: pytest.MonkeyPatch

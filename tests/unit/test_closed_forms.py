@@ -33,9 +33,7 @@ def material(alpha: float, f0: float = 1.0, gloss: float = 1.0) -> Material:
 @pytest.mark.parametrize(("alpha", "mu_o", "a", "paper", "literal", "code"), FURNACE)
 def test_furnace_table(alpha, mu_o, a, paper, literal, code):
     """The numbers that the method publishes, to the digits given there."""
-    found = [
-        closed_forms.albedo(limit, material(alpha), mu_o)[0] for limit in (CORRECT, PAPER, LITERAL, CODE)
-    ]
+    found = [closed_forms.albedo(limit, material(alpha), mu_o)[0] for limit in (CORRECT, PAPER, LITERAL, CODE)]
     np.testing.assert_allclose(found, [a, paper, literal, code], atol=1.1e-4)
 
 

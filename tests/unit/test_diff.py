@@ -209,9 +209,7 @@ def command(tmp_path, monkeypatch, capsys):
     def call(before, after, *options):
         for name, content in (("a", before), ("b", after)):
             Path(name).mkdir(exist_ok=True)
-            Path(name, "results.json").write_text(
-                content if isinstance(content, str) else json.dumps(content), "utf-8"
-            )
+            Path(name, "results.json").write_text(content if isinstance(content, str) else json.dumps(content), "utf-8")
         monkeypatch.setattr("sys.argv", ["termwise", "diff", "a", "b", *options])
         with pytest.raises(SystemExit) as ended:
             cli.main()

@@ -110,13 +110,7 @@ def test_waterfall_stands_one_part_upon_the_other():
     ],
 )
 def test_what_cannot_be_drawn(changes, words, tmp_path):
-    wanted = {
-        "scene": "room",
-        "term": "direct",
-        "kind": "convergence",
-        "cells": CELLS,
-        "path": "a.svg",
-    } | changes
+    wanted = {"scene": "room", "term": "direct", "kind": "convergence", "cells": CELLS, "path": "a.svg"} | changes
     path = tmp_path / wanted.pop("path")
     with pytest.raises(ValueError, match="allowed") as error:
         figure.write({"cells": wanted.pop("cells")}, path=path, **wanted)

@@ -104,9 +104,7 @@ def test_ignored_and_target_faces_are_passed(compiled):
         without[face] += 1e6
         t, second, _ = brute_force(without, origin, direction)
         assert soup.closest(origin, direction, ignore=face).face == second
-        assert soup.any(origin, direction, far=1.0001 * t if second >= 0 else np.inf, target=face) == (
-            second >= 0
-        )
+        assert soup.any(origin, direction, far=1.0001 * t if second >= 0 else np.inf, target=face) == (second >= 0)
         assert soup.any(origin, direction, ignore=face, target=max(second, 0), far=t) is False
         seen += second >= 0
     assert seen > 5

@@ -70,12 +70,8 @@ def test_points_of_a_triangle(compiled):
     """1 / area, on a triangle in space: what light sampling divides by."""
     mesh = plate("plate", (0.3, -0.2, 0.5), (1.0, 0.5, 0.25), (-0.25, 1.5, 0.5)).mesh
     corners = mesh.vertices[mesh.faces]
-    geometry = from_scene(
-        Scene("plate", Camera((0.0, -3.0, 0.0), (0.0, 0.0, 0.0)), (Object("plate", mesh),))
-    ).geometry
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    geometry = from_scene(Scene("plate", Camera((0.0, -3.0, 0.0), (0.0, 0.0, 0.0)), (Object("plate", mesh),))).geometry
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     for face in (0, 1):
         sample = lambda u, v, face=face: point_on_face(geometry, face, *square_to_triangle(u, v))  # noqa: E731
         for u, v in interior(100 if compiled else 30):

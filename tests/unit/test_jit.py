@@ -16,9 +16,7 @@ import pytest
 from termwise.renderer.geometry.simd import available
 from termwise.renderer.jit import _imports, closure_digest
 
-pytestmark = pytest.mark.skipif(
-    os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compilation is what is tested"
-)
+pytestmark = pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compilation is what is tested")
 
 PROJECT = Path(__file__).resolve().parents[2]
 SOURCES = sorted((PROJECT / "renderer").rglob("*.py"))
@@ -30,9 +28,7 @@ def copy(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("project")
     for package in ("renderer", "scenes"):
         shutil.copytree(
-            PROJECT / package,
-            folder / "termwise" / package,
-            ignore=shutil.ignore_patterns("__pycache__", "library"),
+            PROJECT / package, folder / "termwise" / package, ignore=shutil.ignore_patterns("__pycache__", "library")
         )
     (folder / "termwise" / "__init__.py").touch()
     return folder
@@ -135,9 +131,7 @@ def test_digest_covers_what_annotations_alone_name():
 
 def test_digest_covers_transitive_imports():
     """`terms.specular` reaches `vector` through others too, and modules that share no import differ."""
-    digests = {
-        name: closure_digest(f"termwise.renderer.{name}") for name in ("vector", "rng", "terms.specular")
-    }
+    digests = {name: closure_digest(f"termwise.renderer.{name}") for name in ("vector", "rng", "terms.specular")}
     assert len(set(digests.values())) == 3
 
 
@@ -149,11 +143,7 @@ def test_options_of_numba_are_named_in_one_place(path):
         if isinstance(node, ast.keyword):
             assert node.arg != "fastmath"
         if isinstance(node, ast.Import | ast.ImportFrom) and path.name not in ("jit.py", "simd.py"):
-            names = (
-                [node.module or ""]
-                if isinstance(node, ast.ImportFrom)
-                else [item.name for item in node.names]
-            )
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [item.name for item in node.names]
             assert not any(name.split(".")[0] == "numba" for name in names)
 
 

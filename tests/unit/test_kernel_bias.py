@@ -92,9 +92,7 @@ def test_errors_of_the_classes_add_up_to_that_of_the_mean():
     classes = np.array([[0, 0, 1, 1], [0, 2, -1, 0]])
     truth = np.array([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 0.0, 7.0]])[..., None] * np.ones(3)
     gain = np.array([1.0, 1.1, 0.8, 1.0])[classes][..., None]
-    found = kernel_bias.shares(
-        np.repeat((gain * truth)[None], 4, axis=0), np.repeat(truth[None], 4, axis=0), classes
-    )
+    found = kernel_bias.shares(np.repeat((gain * truth)[None], 4, axis=0), np.repeat(truth[None], 4, axis=0), classes)
     values = {name: error.value for name, error in found.items()}
     expected = {"interior": 0.0, "boundary": 0.1 * 7 / 28, "leak": -0.2 * 6 / 28}
     assert values == pytest.approx(expected, abs=1e-12)

@@ -12,13 +12,7 @@ from scipy import integrate
 
 from termwise.renderer.arrays import SceneArrays, from_scene
 from termwise.renderer.geometry.bvh import STACK_SIZE
-from termwise.renderer.kernel_mass import (
-    EXPONENTS,
-    MAX_PLANE_DISTANCE,
-    MIN_NORMAL_COSINE,
-    face_mass,
-    kernel_mass,
-)
+from termwise.renderer.kernel_mass import EXPONENTS, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, face_mass, kernel_mass
 from termwise.renderer.vector import Vec3
 from termwise.scenes.analytic import plate, sphere_inside
 from termwise.scenes.model import Camera, Material, Mesh, Object, Scene
@@ -91,9 +85,7 @@ def by_quadrature(corners: np.ndarray, x: np.ndarray, radius: float, shape: str)
         crossings.sort()
         if len(crossings) % 2:
             crossings = [0.0, *crossings]
-        return sum(
-            cumulative(far) - cumulative(near) for near, far in zip(*[iter(crossings)] * 2, strict=True)
-        )
+        return sum(cumulative(far) - cumulative(near) for near, far in zip(*[iter(crossings)] * 2, strict=True))
 
     # The integrand has kinks where a ray passes a corner or where an edge crosses the rim.
     breaks = [math.atan2(y, x) % (2 * np.pi) for x, y in flat]
@@ -107,8 +99,7 @@ def by_quadrature(corners: np.ndarray, x: np.ndarray, radius: float, shape: str)
                 breaks.append(math.atan2(y[1], y[0]) % (2 * np.pi))
     cuts = np.unique([0.0, *breaks, 2 * np.pi])
     pieces = [
-        integrate.quad(along, low, high, epsabs=1e-12, limit=200)[0]
-        for low, high in zip(cuts, cuts[1:], strict=False)
+        integrate.quad(along, low, high, epsabs=1e-12, limit=200)[0] for low, high in zip(cuts, cuts[1:], strict=False)
     ]
     return float(sum(pieces))
 
@@ -200,9 +191,7 @@ def test_of_many_faces_by_monte_carlo(shape):
     scene = arrays(sphere_inside("sphere", subdivisions=2, material=Material()))
     g = scene.geometry
     rng = np.random.default_rng(5)
-    area = 0.5 * np.linalg.norm(
-        np.cross(g.corners[:, 1] - g.corners[:, 0], g.corners[:, 2] - g.corners[:, 0]), axis=1
-    )
+    area = 0.5 * np.linalg.norm(np.cross(g.corners[:, 1] - g.corners[:, 0], g.corners[:, 2] - g.corners[:, 0]), axis=1)
     face = rng.choice(len(area), 200_000, p=area / area.sum())
     points = np.einsum("pc,pcx->px", rng.dirichlet((1, 1, 1), len(face)), g.corners[face])
     for query in (0, 77, 200):

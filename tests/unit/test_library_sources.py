@@ -102,9 +102,7 @@ def test_sky_texture_is_the_script_s(source):
     with OpenEXR.File(str(LIBRARY / "sky.exr")) as file:
         stored = file.channels()["RGB"].pixels
     assert stored.dtype == np.float16
-    np.testing.assert_allclose(
-        stored.astype(np.float64), source("sky").texture().astype(np.float64), rtol=2**-10
-    )
+    np.testing.assert_allclose(stored.astype(np.float64), source("sky").texture().astype(np.float64), rtol=2**-10)
     assert stored.min() > 0  # no colour outside Rec. 709 was met
 
 
@@ -123,9 +121,7 @@ def test_texels_lie_where_the_paper_looks_them_up(source):
     directions = source("sky").texel_directions((6, 8))
     x, y, z = np.moveaxis(directions, -1, 0)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1)
-    np.testing.assert_allclose(
-        8 * (np.arctan2(x, y) / (2 * np.pi) + 0.5), np.tile(np.arange(8) + 0.5, (6, 1))
-    )
+    np.testing.assert_allclose(8 * (np.arctan2(x, y) / (2 * np.pi) + 0.5), np.tile(np.arange(8) + 0.5, (6, 1)))
     np.testing.assert_allclose(6 * (0.5 - z / 2), np.tile(np.arange(6) + 0.5, (8, 1)).T)
 
 

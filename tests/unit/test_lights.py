@@ -14,7 +14,7 @@ import trimesh
 from termwise.renderer import Engine, find
 from termwise.renderer.arrays import MANY_EMITTERS, from_scene
 from termwise.renderer.lights import bound, pick, pick_by_light
-from termwise.renderer.plan import ECONOMIES
+from termwise.renderer.plan import REDUCTIONS
 from termwise.renderer.surface import Surface
 from termwise.renderer.vector import Vec3
 from termwise.scenes.load import load
@@ -48,8 +48,7 @@ def replicates(scene: Scene, without: tuple[str, ...], count: int, samples: int)
     """Means of the picture, (count, 3)."""
     with Engine(scene, without=without) as engine:
         images = [
-            list(engine.prefixes(find("direct"), samples=samples, seed=5, replicate=r))[-1][1]
-            for r in range(count)
+            list(engine.prefixes(find("direct"), samples=samples, seed=5, replicate=r))[-1][1] for r in range(count)
         ]
     return np.array(images).mean(axis=(1, 2))
 
@@ -136,10 +135,7 @@ def test_what_the_pick_leaves_is_spread_evenly(by_light, compiled):
     arrays = from_scene(scene_of(points(9)))
     count = 20_000 if compiled else 2000
     us = [(i + 0.5) / count for i in range(count)]
-    picks = [
-        pick_by_light(arrays, surface_at(0.3, -0.2), u) if by_light else pick(arrays.emitters.cdf, u)
-        for u in us
-    ]
+    picks = [pick_by_light(arrays, surface_at(0.3, -0.2), u) if by_light else pick(arrays.emitters.cdf, u) for u in us]
     for index in {index for index, _, _ in picks}:
         rest = np.array([left for chosen, _, left in picks if chosen == index])
         np.testing.assert_allclose(rest, (np.arange(len(rest)) + 0.5) / len(rest), atol=1.5 / len(rest))
@@ -152,12 +148,7 @@ def test_a_lamp_of_two_triangles_is_one_rectangle(compiled):
     if not compiled:
         pytest.skip("thousands of samples take minutes as plain Python")
     corners = [[-0.5, -0.5, 1.0], [-0.5, 0.5, 1.0], [0.5, 0.5, 1.0], [0.5, -0.5, 1.0]]
-    square = Object(
-        "lamp",
-        Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3]]),
-        Material(),
-        emission=(1.0, 1.0, 1.0),
-    )
+    square = Object("lamp", Mesh.from_arrays(corners, [[0, 1, 2], [0, 2, 3]]), Material(), emission=(1.0, 1.0, 1.0))
     few, many = (replicates(scene_of((), square), (), 200, samples) for samples in (1, 64))
     assert few.mean() > 0.0
     assert many.var(axis=0, ddof=1).sum() < 0.1 * few.var(axis=0, ddof=1).sum() / 64
@@ -172,16 +163,16 @@ def test_a_point_that_nothing_lights(compiled):
 
 @pytest.mark.parametrize(("count", "serves"), [(1, False), (2, False), (3, True), (MANY_EMITTERS + 1, False)])
 def test_few_and_very_many_are_chosen_by_power(count, serves, compiled):
-    """Where there is nothing to choose, or too much to look at: the same bytes with the economy and without."""
+    """Where there is nothing to choose, or too much to look at: the same bytes with the reduction and without."""
     scene = scene_of(points(count))
     assert from_scene(scene).pick_by_light == serves
-    reason = ECONOMIES["lights"].reason(scene, find("direct"), "next-event")
+    reason = REDUCTIONS["lights"].reason(scene, find("direct"), "next-event")
     assert (reason is not None) == serves
     if not serves:
         assert replicates(scene, (), 1, 4).tobytes() == replicates(scene, ("lights",), 1, 4).tobytes()
 
 
 def test_the_paper_scenes_have_one_light():
-    """A rectangle or a point: the economy has nothing to do there."""
+    """A rectangle or a point: the reduction has nothing to do there."""
     for name in ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey"):
         assert not from_scene(load(name)).pick_by_light

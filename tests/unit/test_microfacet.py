@@ -41,13 +41,7 @@ COSINES = [1.0, 0.999, 0.7, 0.3, 0.05]
 WHITE = Vec3(1.0, 1.0, 1.0)
 
 # alpha, mu_o, directional albedo S[1] for F0 = 1 (published with the method; re-derived below).
-FURNACE = [
-    (0.05, 1.0, 1.0000),
-    (0.30, 0.7, 0.9658),
-    (0.30, 0.1, 0.9314),
-    (0.60, 1.0, 0.8558),
-    (1.00, 1.0, 0.4616),
-]
+FURNACE = [(0.05, 1.0, 1.0000), (0.30, 0.7, 0.9658), (0.30, 0.1, 0.9314), (0.60, 1.0, 0.8558), (1.00, 1.0, 0.4616)]
 
 
 def direction(mu: float, phi: float = 0.0) -> Vec3:
@@ -193,9 +187,7 @@ def test_weight_is_eval_over_pdf_and_at_most_one(alpha, mu_o, compiled):
         assert np.linalg.norm(wi) == pytest.approx(1.0, abs=1e-12)
         if wi.z > 1e-6:
             value = np.array(eval_lobe(wi, wo, alpha, f0))
-            np.testing.assert_allclose(
-                pdf_lobe(wi, wo, alpha) * np.array(weight), value, rtol=1e-6, atol=1e-300
-            )
+            np.testing.assert_allclose(pdf_lobe(wi, wo, alpha) * np.array(weight), value, rtol=1e-6, atol=1e-300)
 
 
 @pytest.mark.parametrize(("alpha", "mu_o", "expected"), FURNACE)
@@ -226,11 +218,7 @@ def test_furnace_by_quadrature_of_eval(alpha, mu_o, expected, compiled):
 
 
 # What each estimator becomes under a white sky: the factor of the lobe, and the cosine that multiplies it.
-MEANS = {
-    UNIFORM: (1.0, "incident"),
-    PAPER: (4 / math.pi, "incident"),
-    PAPER_LITERAL: (4 / math.pi, "outgoing"),
-}
+MEANS = {UNIFORM: (1.0, "incident"), PAPER: (4 / math.pi, "incident"), PAPER_LITERAL: (4 / math.pi, "outgoing")}
 
 
 @pytest.mark.parametrize("estimator", MEANS, ids=("uniform", "paper", "paper-literal"))
@@ -241,17 +229,10 @@ def test_jittered_estimators_have_their_mean(estimator, alpha, mu_o, expected):
     n = 160
     x = (np.arange(n) + 0.5) / n
     wo = direction(mu_o)
-    mean = np.mean(
-        [sample_variant(estimator, 1, wo, alpha, WHITE, u, v)[1].x for u in x.tolist() for v in x.tolist()]
-    )
+    mean = np.mean([sample_variant(estimator, 1, wo, alpha, WHITE, u, v)[1].x for u in x.tolist() for v in x.tolist()])
     over = (lambda mu: 1.0) if cosine == "incident" else (lambda mu: mu_o / mu)
     exact = integrate.dblquad(
-        lambda phi, mu: 2 * over(mu) * lobe(np.float64(mu), phi, mu_o, alpha),
-        0,
-        1 - 1e-12,
-        0,
-        math.pi,
-        epsabs=1e-5,
+        lambda phi, mu: 2 * over(mu) * lobe(np.float64(mu), phi, mu_o, alpha), 0, 1 - 1e-12, 0, math.pi, epsabs=1e-5
     )[0]
     assert mean == pytest.approx(lobe_factor * exact, rel=2e-3)
 
@@ -269,11 +250,7 @@ def test_code_estimators_have_the_mean_of_the_loop(estimator, factor, rings, com
     v = (np.arange(n) + 0.5) / n
     wo = direction(mu_o)
     mean = np.mean(
-        [
-            sample_variant(estimator, rings, wo, alpha, WHITE, a, b)[1].x
-            for a in u.tolist()
-            for b in v.tolist()
-        ]
+        [sample_variant(estimator, rings, wo, alpha, WHITE, a, b)[1].x for a in u.tolist() for b in v.tolist()]
     )
     assert mean == pytest.approx(expected, rel=1e-12)
 

@@ -185,9 +185,7 @@ def test_nearest_is_too_bright_by_k_over_k_minus_one(k, compiled):
     count = 400
     scratch = np.empty(k), np.empty(k, np.int64)
     values = [
-        nearest_irradiance(
-            on_plate(rng.uniform(size=(count, 2)), 1 / count, 0.1), at((0.5, 0.45, 0)), k, *scratch
-        ).x
+        nearest_irradiance(on_plate(rng.uniform(size=(count, 2)), 1 / count, 0.1), at((0.5, 0.45, 0)), k, *scratch).x
         for _ in range(3000 if compiled else 300)
     ]
     error = np.std(values, ddof=1) / np.sqrt(len(values))
@@ -290,9 +288,7 @@ def test_linear_irradiance_is_biased_along_edges_alone(shape, compiled):
 
         on_edge = 2 / np.pi * MEAN_DISTANCES[shape] * r
         for a in (0.0, 0.2 * r, 0.6 * r):
-            moment = integrate.quad(lambda t, r=r: t * marginal(shape, t, r), a, r)[
-                0
-            ]  # the rest of it is odd
+            moment = integrate.quad(lambda t, r=r: t * marginal(shape, t, r), a, r)[0]  # the rest of it is odd
             law = 3 * moment / one_sided(shape, a, r)
             assert bias(a, 0.5) == pytest.approx(law, rel=0.01, abs=3e-4 + rim)
             if a == 0:
@@ -337,16 +333,8 @@ def test_thin_walls_do_not_leak():
     inner, outer = trimesh.creation.box(extents=(1.0,) * 3), trimesh.creation.box(extents=(1.002,) * 3)
     hollow = np.concatenate([inner.faces[:, ::-1], outer.faces + len(inner.vertices)])
     for thing, lit, dark in (
-        (
-            Mesh.from_arrays(thin.vertices, thin.faces),
-            np.flatnonzero(thin.face_normals[:, 2] > 0.9),
-            range(12),
-        ),
-        (
-            Mesh.from_arrays(np.concatenate([inner.vertices, outer.vertices]), hollow),
-            np.arange(12),
-            range(12, 24),
-        ),
+        (Mesh.from_arrays(thin.vertices, thin.faces), np.flatnonzero(thin.face_normals[:, 2] > 0.9), range(12)),
+        (Mesh.from_arrays(np.concatenate([inner.vertices, outer.vertices]), hollow), np.arange(12), range(12, 24)),
     ):
         scene = arrays(Object("thing", thing))
         g = scene.geometry
@@ -375,9 +363,7 @@ def test_light_does_not_leak_down_a_step(height, compiled):
     xy = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
     position = np.column_stack([xy, np.full(len(xy), height)])
     face = np.where(xy[:, 0] >= xy[:, 1], 4, 5).astype(np.int32)
-    photons = build(
-        position, np.tile([0.0, 0.0, 1.0], (len(xy), 1)), np.full((len(xy), 3), 1 / n**2), face, r
-    )
+    photons = build(position, np.tile([0.0, 0.0, 1.0], (len(xy), 1)), np.full((len(xy), 3), 1 / n**2), face, r)
     for a in (0.002, 0.05, 0.1):
         found = estimate_irradiance(scene, photons, at((-a, 0.5, 0.0)), SCRATCH).x
         if height > MAX_PLANE_DISTANCE * r:
@@ -475,9 +461,7 @@ def test_threads_change_no_bit(compiled):
     count = 10_000 if compiled else 200
     one, two, three = (emitted(closed_box(), 0, count, first_hits=True, threads=n) for n in (1, 2, 3))
     for field in ("position", "direction", "power", "face", "start"):
-        assert (
-            getattr(one, field).tobytes() == getattr(two, field).tobytes() == getattr(three, field).tobytes()
-        )
+        assert getattr(one, field).tobytes() == getattr(two, field).tobytes() == getattr(three, field).tobytes()
 
 
 def landed_flux(scene: Scene, compiled: bool, **options) -> tuple[float, float]:
@@ -492,10 +476,7 @@ def landed_flux(scene: Scene, compiled: bool, **options) -> tuple[float, float]:
 def test_flux_in_a_closed_box(albedo, compiled):
     """4 pi I / (1 - rho) lands in all, 4 pi I rho / (1 - rho) without first hits: roulette with 1/p keeps the mean."""
     scene = closed_box(albedo=albedo, intensity=2.0)
-    for first_hits, expected in (
-        (True, 8 * np.pi / (1 - albedo)),
-        (False, 8 * np.pi * albedo / (1 - albedo)),
-    ):
+    for first_hits, expected in ((True, 8 * np.pi / (1 - albedo)), (False, 8 * np.pi * albedo / (1 - albedo))):
         mean, error = landed_flux(scene, compiled, first_hits=first_hits)
         assert abs(mean - expected) < 4.5 * error
         assert error < (0.05 if compiled else 0.3) * expected

@@ -23,8 +23,7 @@ def shown(monkeypatch, *, terminal, quiet=False):
 def test_lines_where_there_is_no_terminal(monkeypatch):
     lines = shown(monkeypatch, terminal=False).splitlines()
     assert lines == [
-        f"Measuring: {done} of 60, about {60 - done} s left: monkey: cell {done}"
-        for done in range(10, 60, 10)
+        f"Measuring: {done} of 60, about {60 - done} s left: monkey: cell {done}" for done in range(10, 60, 10)
     ] + ["Measuring: 60 of 60: monkey: cell 60"]
 
 

@@ -64,12 +64,7 @@ def test_a_command_goes_through_a_shell():
 
 def test_the_table_is_rfc_4180(tmp_path):
     rows = [
-        {
-            "scene": 'the "blue", room',
-            "rmse": 0.1,
-            "sentence": "two\nlines",
-            "at": {"gloss": 1.0, "bounces": 2},
-        },
+        {"scene": 'the "blue", room', "rmse": 0.1, "sentence": "two\nlines", "at": {"gloss": 1.0, "bounces": 2}},
         {"scene": "hall", "rmse": None, "seconds": 2.5},
     ]
     path = tmp_path / "results.csv"

@@ -25,9 +25,7 @@ def made(name: str, compiled: bool, **changes) -> Scene:
 
 def with_gloss(scene: Scene, gloss: float) -> Scene:
     """All objects as glossy."""
-    objects = tuple(
-        attrs.evolve(thing, material=attrs.evolve(thing.material, gloss=gloss)) for thing in scene.objects
-    )
+    objects = tuple(attrs.evolve(thing, material=attrs.evolve(thing.material, gloss=gloss)) for thing in scene.objects)
     return attrs.evolve(scene, objects=objects)
 
 
@@ -56,9 +54,7 @@ def test_one_vertex_is_linear_in_its_weight(scene, term, changes, weight, compil
     np.testing.assert_allclose(other, half * (weight(0.75) / weight(0.5)), rtol=ROUNDING)
 
 
-@pytest.mark.parametrize(
-    ("term", "changes"), [("direct", {"scope": "all"}), ("specular", {"max_bounces": 2})]
-)
+@pytest.mark.parametrize(("term", "changes"), [("direct", {"scope": "all"}), ("specular", {"max_bounces": 2})])
 def test_what_a_path_meets_twice_is_not_linear(term, changes, compiled):
     """Light after two bounces has the square of the weight: a sweep of gloss needs these terms anew."""
     base = made("cornell_box", compiled, **changes)

@@ -12,17 +12,10 @@ import pytest
 from scipy import special
 
 from termwise import renderer
-from termwise.renderer import VARIANTS, Engine, photon_map, render, tiles
+from termwise.renderer import VARIANTS, Engine, engine, photon_map, render
 from termwise.renderer.plan import plan, skipped
 from termwise.renderer.scratch import SEEN_BYTES
-from termwise.scenes.analytic import (
-    closed_box,
-    disc_over_plane,
-    furnace,
-    glossy_sphere,
-    rectangle_light,
-    unit_sphere,
-)
+from termwise.scenes.analytic import closed_box, disc_over_plane, furnace, glossy_sphere, rectangle_light, unit_sphere
 from termwise.scenes.limits import Kernel
 from termwise.scenes.load import library, load
 from termwise.scenes.model import Ambient, Camera, Photons, PointLight, Scene, Sky, Toggles
@@ -120,9 +113,7 @@ def first_hit_of_facets(scene: Scene) -> np.ndarray:
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     distance = -(normal * a).sum(axis=1)  # normals point inwards
     width, height = scene.resolution
-    film = np.stack(
-        np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height), axis=-1
-    )
+    film = np.stack(np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height), axis=-1)
     directions = scene.camera.rays(film, aspect=width / height)
     cos = -directions @ normal.T
     d = np.where(cos > 0, distance / np.where(cos > 0, cos, 1), np.inf)
@@ -156,9 +147,7 @@ def test_unit_sphere_all_bounces(variant, compiled):
     rho = np.abs((normal / np.linalg.norm(normal, axis=1, keepdims=True) * centre).sum(axis=1))
     # E = pi rho / d³ with rho <= d <= 1.
     low, high = rho.min(), 1 / rho.min() ** 2
-    values = replicate_means(
-        scene, "direct", 12 if compiled else 6, variant=variant, samples=16 if compiled else 4
-    )
+    values = replicate_means(scene, "direct", 12 if compiled else 6, variant=variant, samples=16 if compiled else 4)
     error = values.std(ddof=1) / math.sqrt(len(values))
     # The kernel's own bias, r² ΔE / 16 and what a curved surface adds, is below (r / R)² / 4 of the light in the map:
     # the scattered half, or all.
@@ -185,8 +174,7 @@ def test_unweighted_photons_brighten_a_closed_sphere(compiled):
     scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, survival=0.8))
     count, samples = (12, 4) if compiled else (6, 2)
     plain, bright = (
-        replicate_means(scene, "direct", count, variant=name, samples=samples)
-        for name in ("paper", "paper-unweighted")
+        replicate_means(scene, "direct", count, variant=name, samples=samples) for name in ("paper", "paper-unweighted")
     )
     ratio = bright.mean() / plain.mean()
     spread = np.hypot(bright.std(ddof=1) / bright.mean(), plain.std(ddof=1) / plain.mean())
@@ -206,7 +194,7 @@ def test_full_scattering_is_refused_where_it_would_be_ignored(variant):
 
 
 def test_kernels_that_rows_name():
-    """What a twin needs of each row: shape, photons kept, radius and passes, k and scale; None where E is exact."""
+    """What a kernel reference needs of a row: shape, photons, radius and passes, k and scale; None where E is exact."""
     photons = Photons(count=7, radius=0.3, nearest=5, kernel="uniform")
     scene = attrs.evolve(unit_sphere(), photons=photons)
     rows = {name: variant.kernel(scene, 4) for name, variant in VARIANTS["direct"].items()}
@@ -268,17 +256,13 @@ def test_shadow_of_the_disc_is_exact():
     scene = attrs.evolve(scene, lights=(light,), scope="first-hit", resolution=(2, 2))
     assert (render(scene, "direct", samples=4).mean == 0.0).all()
     beside = attrs.evolve(scene, lights=(PointLight((3.0, 0.0, 2.0), (3.0, 3.0, 3.0)),))
-    np.testing.assert_allclose(
-        render(beside, "direct", samples=4).mean, 3.0 * 2.0 / (math.pi * 13.0**1.5), rtol=1e-3
-    )
+    np.testing.assert_allclose(render(beside, "direct", samples=4).mean, 3.0 * 2.0 / (math.pi * 13.0**1.5), rtol=1e-3)
 
 
 # Closed forms: specular.
 
 
-@pytest.mark.parametrize(
-    ("roughness", "mu_o", "albedo"), [(0.3, 0.7, 0.9658), (0.6, 1.0, 0.8558), (1.0, 1.0, 0.4616)]
-)
+@pytest.mark.parametrize(("roughness", "mu_o", "albedo"), [(0.3, 0.7, 0.9658), (0.6, 1.0, 0.8558), (1.0, 1.0, 0.4616)])
 def test_specular_furnace(roughness, mu_o, albedo, compiled):
     """A plate under a white sky: gloss A, A the lobe's albedo (quadrature, tests/unit/test_microfacet.py).
 
@@ -359,9 +343,7 @@ def test_background_is_the_sky_and_the_front_of_lights():
     assert (render(scene, "background", samples=2).mean == 0.0).all()
     assert (render(attrs.evolve(scene, draw_lights=True), "background", samples=2).mean == 3.0).all()
     behind = attrs.evolve(at_lamp, position=(0.5, 0.5, 2.0))
-    assert (
-        render(attrs.evolve(scene, draw_lights=True, camera=behind), "background", samples=2).mean == 0.0
-    ).all()
+    assert (render(attrs.evolve(scene, draw_lights=True, camera=behind), "background", samples=2).mean == 0.0).all()
     away = attrs.evolve(at_lamp, target=(0.5, 9.0, 0.6), up=(0.0, 0.0, 1.0))
     image = render(attrs.evolve(scene, camera=away), "background", samples=2).mean
     np.testing.assert_allclose(image, np.broadcast_to((0.1, 0.2, 0.3), image.shape), rtol=1e-15)
@@ -426,7 +408,7 @@ def test_images_do_not_depend_on_the_image_s_other_tiles(busy):
 @pytest.mark.parametrize("resolution", [(1, 1), (8, 8), (32, 32), (70, 40), (640, 360)])
 def test_tiles_cover_the_image_once_and_give_every_thread_some(resolution):
     width, height = resolution
-    found = tiles._tiles(np.ones((height, width), np.bool_), least=8)
+    found = engine._tiles(np.ones((height, width), np.bool_), least=8)
     covered = np.zeros((height, width), int)
     for tile in found:
         assert tile.x0 < tile.x1 <= width
@@ -438,7 +420,7 @@ def test_tiles_cover_the_image_once_and_give_every_thread_some(resolution):
 
 def test_chains_of_the_paper_share_maps_and_prefixes_keep_their_bits(busy, monkeypatch):
     """Samples 2 m and 2 m + 1 have map m, whatever the prefix; a prefix is the shorter run."""
-    monkeypatch.setattr(tiles, "_CHAINS_A_MAP", 2)
+    monkeypatch.setattr("termwise.renderer.engine._CHAINS_A_MAP", 2)
     intact, numbers = Engine._photons, []
 
     def counted(engine, variant, chain, stored, key, index, count, scratch):
@@ -449,8 +431,7 @@ def test_chains_of_the_paper_share_maps_and_prefixes_keep_their_bits(busy, monke
     found = renderer.find("specular")
     with Engine(busy) as engine:
         images = {
-            count: image
-            for count, image, _ in engine.prefixes(found, samples=5, seed=1, replicate=0, chain="paper")
+            count: image for count, image, _ in engine.prefixes(found, samples=5, seed=1, replicate=0, chain="paper")
         }
         assert numbers == [0, 0, 0, 1, 2]  # the first only compiles
         for samples in (2, 4):
@@ -465,9 +446,7 @@ def test_chains_of_the_paper_share_maps_and_prefixes_keep_their_bits(busy, monke
 def skippable() -> list[tuple[str, Scene, str]]:
     base = load("cornell_box_unshadowed")
     dull = tuple(attrs.evolve(o, material=attrs.evolve(o.material, gloss=0.0)) for o in base.objects)
-    black = tuple(
-        attrs.evolve(o, material=attrs.evolve(o.material, color=(0.0, 0.0, 0.0))) for o in base.objects
-    )
+    black = tuple(attrs.evolve(o, material=attrs.evolve(o.material, color=(0.0, 0.0, 0.0))) for o in base.objects)
     return [
         ("ambient", attrs.evolve(base, ambient=Ambient((0.0, 0.0, 0.0))), "black"),
         ("ambient", attrs.evolve(base, objects=black), "color"),
@@ -570,8 +549,8 @@ def test_photon_maps_are_shared(scattering, variant, maps_kept, traced, compiled
         ("cornell_box", {"intersection": "paper"}),
     ],
 )
-@pytest.mark.parametrize("sights", [0, 3, 64])
-def test_camera_rays_are_shared(scene, changes, sights, compiled, monkeypatch):
+@pytest.mark.parametrize("hits", [0, 3, 64])
+def test_camera_rays_are_shared(scene, changes, hits, compiled, monkeypatch):
     """All terms look along the same rays: those that there is room for are traced once, and no bit changes."""
     scene = attrs.evolve(small(load(scene), compiled, 8), draw_lights=True)
     if "pixel" in changes:
@@ -579,7 +558,7 @@ def test_camera_rays_are_shared(scene, changes, sights, compiled, monkeypatch):
     else:
         scene = attrs.evolve(scene, **changes)
     samples, (width, height) = 16 if compiled else 4, scene.resolution
-    kept = sights * width * height * SEEN_BYTES
+    kept = hits * width * height * SEEN_BYTES
     monkeypatch.setattr(photon_map, "bytes_of", lambda photons: kept + 1)  # camera rays alone
 
     def drawn(engine: Engine, replicate: int) -> list[bytes]:
@@ -594,11 +573,11 @@ def test_camera_rays_are_shared(scene, changes, sights, compiled, monkeypatch):
             before, shared_before = engine.counts["rays"], sharing.counts["rays"]
             assert drawn(engine, replicate) == drawn(sharing, replicate)
             spared = (engine.counts["rays"] - before) - (sharing.counts["rays"] - shared_before)
-            assert (spared > 0) == (sights > 0)
+            assert (spared > 0) == (hits > 0)
 
 
 def test_the_plan_counts_the_camera_rays_that_are_shared(compiled, monkeypatch):
-    """In the box, of which every pixel sees something; with room for all, and for six sights of a pixel."""
+    """In the box, of which every pixel sees something; with room for all, and for six primary hits of a pixel."""
     scene = attrs.evolve(small(load("cornell_box"), compiled, 8), draw_lights=True)
     width, height = scene.resolution
     variants: dict[Term, renderer.Variant] = {term: renderer.find(term) for term in TERMS}
@@ -632,9 +611,7 @@ def test_the_plan_counts_the_camera_rays_that_are_shared(compiled, monkeypatch):
 
 def test_empty_scene(compiled):
     """No objects: every term is black but the background, which is the sky."""
-    scene = Scene(
-        "void", Camera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), sky=Sky((0.5, 0.5, 0.8)), resolution=(3, 2)
-    )
+    scene = Scene("void", Camera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), sky=Sky((0.5, 0.5, 0.8)), resolution=(3, 2))
     for term in ("ambient", "direct", "specular"):
         assert not render(scene, term, samples=2).mean.any()
     image = render(scene, "background", samples=2).mean
@@ -652,10 +629,7 @@ def test_one_pixel_and_one_photon(busy):
     ("options", "message"),
     [
         ({"term": "glow"}, "term = 'glow': allowed are ambient, direct, specular, background"),
-        (
-            {"variant": "best"},
-            "variant = 'best' of ambient: allowed are cosine, uniform, paper, paper-loop, constant",
-        ),
+        ({"variant": "best"}, "variant = 'best' of ambient: allowed are cosine, uniform, paper, paper-loop, constant"),
         ({"samples": 0}, "samples = 0: allowed is at least 1"),
         ({"samples": -4}, "samples = -4: allowed is at least 1"),
         ({"samples": 2.5}, "samples = 2.5: allowed is an integer of at least 1"),
@@ -680,9 +654,7 @@ def test_variance_is_that_of_the_mean(compiled):
     single = []
     with Engine(scene) as engine:
         for replicate in range(5):
-            *_, (_, one, _) = engine.prefixes(
-                renderer.find("ambient"), samples=4, seed=3, replicate=replicate
-            )
+            *_, (_, one, _) = engine.prefixes(renderer.find("ambient"), samples=4, seed=3, replicate=replicate)
             single.append(one)
     np.testing.assert_allclose(image.mean, np.mean(single, axis=0), rtol=1e-15)
     np.testing.assert_allclose(image.variance, np.var(single, axis=0, ddof=1) / 5, rtol=1e-12)
@@ -694,9 +666,7 @@ def test_counts_that_are_asked_for_change_no_bit(compiled):
     scene = small(load("two_cubes"), compiled, 8)
     for term in TERMS:
         with Engine(scene, threads=1) as engine:
-            asked = list(
-                engine.prefixes(renderer.find(term), samples=5, seed=1, replicate=0, counts=iter((1, 3, 5)))
-            )
+            asked = list(engine.prefixes(renderer.find(term), samples=5, seed=1, replicate=0, counts=iter((1, 3, 5))))
         assert [count for count, _, _ in asked] == [1, 3, 5]
         for count, image, _ in asked:
             assert image.tobytes() == render(scene, term, samples=count, seed=1).mean.tobytes()

@@ -103,10 +103,7 @@ def test_dimensions_of_one_pixel_are_independent(compiled):
     count = 3000 if compiled else 500
     key = root(7, 0)
     values = np.array(
-        [
-            [sample_1d(Sampler(stream(key, pixel), np.uint32(0)), d) for d in range(3)]
-            for pixel in range(count)
-        ]
+        [[sample_1d(Sampler(stream(key, pixel), np.uint32(0)), d) for d in range(3)] for pixel in range(count)]
     )
     for a, b in ((0, 1), (0, 2), (1, 2)):
         assert np.asarray(stats.spearmanr(values[:, a], values[:, b]))[1] > 1e-4

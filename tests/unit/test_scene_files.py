@@ -54,10 +54,7 @@ BAD = {
     "text for a number": (GOOD + 'gloss = "0.5"\n', ["gloss = '0.5'", "a number"]),
     "true for a number": (GOOD + "gloss = true\n", ["gloss = True", "a number"]),
     "number for a switch": (GOOD + "[toggles]\nlighting = 1\n", ["toggles.lighting = 1", "true or false"]),
-    "no survival": (
-        GOOD + "[photons]\nsurvival = 0.0\n",
-        ["photons", "survival = 0.0", "a number in (0, 1]"],
-    ),
+    "no survival": (GOOD + "[photons]\nsurvival = 0.0\n", ["photons", "survival = 0.0", "a number in (0, 1]"]),
     "survival beyond 1": (GOOD + "[photons]\nsurvival = 1.5\n", ["survival = 1.5", "a number in (0, 1]"]),
     "unknown kernel": (
         GOOD + '[photons]\nkernel = "cone"\n',
@@ -84,18 +81,12 @@ BAD = {
         GOOD.replace("target = [0.0,", "target = [1e300,"),
         ["target = (1e+300, 0.0, 0.0)", "allowed are points"],
     ),
-    "view along up": (
-        GOOD.replace("[0.0, -3.0, 1.0]", "[0.0, 0.0, 1.0]"),
-        ["up = (0.0, 0.0, 1.0)", "not parallel"],
-    ),
+    "view along up": (GOOD.replace("[0.0, -3.0, 1.0]", "[0.0, 0.0, 1.0]"), ["up = (0.0, 0.0, 1.0)", "not parallel"]),
     "resolution 0": ("resolution = [0, 4]\n" + GOOD, ["resolution = (0, 4)", "[1, 65536]"]),
     "negative bounces": ("max_bounces = -1\n" + GOOD, ["max_bounces = -1", "[0, 64]"]),
     "exposure inf": ("exposure = inf\n" + GOOD, ["exposure = inf", "(0, inf)"]),
     "range 0": (GOOD + "[ambient]\nrange = 0.0\n", ["range = 0.0", "(0, inf]"]),
-    "negative ambient": (
-        GOOD + "[ambient]\ncolor = [-1.0, 0.0, 0.0]\n",
-        ["color = (-1.0, 0.0, 0.0)", "[0, inf)"],
-    ),
+    "negative ambient": (GOOD + "[ambient]\ncolor = [-1.0, 0.0, 0.0]\n", ["color = (-1.0, 0.0, 0.0)", "[0, inf)"]),
     "unknown shape": (GOOD.replace('"box"', '"cone"'), ["shape = 'cone'", "rectangle, box, sphere, mesh"]),
     "no shape": (GOOD.replace('shape = "box"\n', ""), ["shape: is missing", "rectangle, box, sphere, mesh"]),
     "size 0": (GOOD.replace("[1.0, 1.0, 1.0]", "[1.0, 0.0, 1.0]"), ["size = (1.0, 0.0, 1.0)", "(0, inf)"]),
@@ -114,40 +105,22 @@ BAD = {
         GOOD + "[[lights]]\nposition = [0.0, 0.0, 1.0]\nintensity = [-1.0, 0.0, 0.0]\n",
         ["lights", "intensity = (-1.0, 0.0, 0.0)", "[0, inf)"],
     ),
-    "light without intensity": (
-        GOOD + "[[lights]]\nposition = [0.0, 0.0, 1.0]\n",
-        ["lights", "intensity", "missing"],
-    ),
+    "light without intensity": (GOOD + "[[lights]]\nposition = [0.0, 0.0, 1.0]\n", ["lights", "intensity", "missing"]),
     "mesh that is missing": (mesh_object("none.ply"), ["file = 'none.ply'", "no such file"]),
     "mesh of another kind": (mesh_object("mesh.fbx"), ["file = 'mesh.fbx'", ".ply, .obj, .stl or .glb"]),
     "mesh that is none": (mesh_object("text.ply"), ["file = 'text.ply'", "not a mesh"]),
     "mesh cut short": (mesh_object("short.ply"), ["file = 'short.ply'"]),
-    "mesh that promises more": (
-        mesh_object("promise.ply"),
-        ["file = 'promise.ply'", "1 of 3 faces", "cut short"],
-    ),
+    "mesh that promises more": (mesh_object("promise.ply"), ["file = 'promise.ply'", "1 of 3 faces", "cut short"]),
     "mesh without area": (mesh_object("line.ply"), ["'m'", "file = 'line.ply'", "no area"]),
     "name of the whole picture": (GOOD.replace('"a"', '"image"'), ["objects", "name = 'image'"]),
-    "view of nothing": (
-        GOOD.replace("[0.0, -3.0, 1.0]", "[0.0, 0.0, 0.0]"),
-        ["target = (0.0, 0.0, 0.0)", "position"],
-    ),
+    "view of nothing": (GOOD.replace("[0.0, -3.0, 1.0]", "[0.0, 0.0, 0.0]"), ["target = (0.0, 0.0, 0.0)", "position"]),
     "objects in a string": ('objects = "box"\n' + CAMERA, ["objects = 'box'", "a list"]),
     "mesh without faces": (mesh_object("empty.ply"), ["file = 'empty.ply'"]),
     "mesh with a nan": (mesh_object("nan.ply"), ["'m'", "vertices[1]", "finite"]),
     "mesh with a wild index": (mesh_object("index.ply"), ["'m'", "file = 'index.ply'"]),
-    "texture that is missing": (
-        GOOD + '[sky]\ntexture = "no.exr"\n',
-        ["sky", "texture = 'no.exr'", "no such file"],
-    ),
-    "texture that is none": (
-        GOOD + '[sky]\ntexture = "text.ply"\n',
-        ["sky", "texture = 'text.ply'", "OpenEXR"],
-    ),
-    "sky of both kinds": (
-        GOOD + '[sky]\ntexture = "a.exr"\ncolor = [0.0, 0.0, 0.0]\n',
-        ["sky", "one of the two"],
-    ),
+    "texture that is missing": (GOOD + '[sky]\ntexture = "no.exr"\n', ["sky", "texture = 'no.exr'", "no such file"]),
+    "texture that is none": (GOOD + '[sky]\ntexture = "text.ply"\n', ["sky", "texture = 'text.ply'", "OpenEXR"]),
+    "sky of both kinds": (GOOD + '[sky]\ntexture = "a.exr"\ncolor = [0.0, 0.0, 0.0]\n', ["sky", "one of the two"]),
 }
 
 PLY = """ply

@@ -8,18 +8,7 @@ import pytest
 
 from termwise.scenes import analytic
 from termwise.scenes.load import library, load
-from termwise.scenes.model import (
-    Ambient,
-    Camera,
-    Material,
-    Mesh,
-    Object,
-    Photons,
-    PointLight,
-    Scene,
-    Sky,
-    Toggles,
-)
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Sky, Toggles
 from termwise.scenes.save import save
 
 
@@ -34,11 +23,7 @@ def everything() -> Scene:
         (ball, shard),
         (PointLight((1.5, 2.5, 3.5), (9.0, 8.0, 7.0)),),
         Ambient((0.3, 0.2, 0.1), 4.5),
-        Sky(
-            texture=np.random.default_rng(2).random((3, 5, 3), np.float32),
-            radius=math.inf,
-            projection="lat-long",
-        ),
+        Sky(texture=np.random.default_rng(2).random((3, 5, 3), np.float32), radius=math.inf, projection="lat-long"),
         Photons(7, 0.125, 9, "uniform", 0.5, "full"),
         Toggles(False, False, False),
         (31, 17),

@@ -43,8 +43,7 @@ def of_rule(scene: Scene, pixel: Any) -> Scene:
 
 def with_material(scene: Scene, **changes: Any) -> Scene:
     return attrs.evolve(
-        scene,
-        objects=tuple(attrs.evolve(o, material=attrs.evolve(o.material, **changes)) for o in scene.objects),
+        scene, objects=tuple(attrs.evolve(o, material=attrs.evolve(o.material, **changes)) for o in scene.objects)
     )
 
 
@@ -73,10 +72,7 @@ def half_black() -> Scene:
     plate_, cube = scene.objects
     mirror = attrs.evolve(plate_, material=Material((0.5, 0.5, 0.5), gloss=1.0))
     return attrs.evolve(
-        scene,
-        objects=(mirror, cube),
-        lights=(PointLight((0.0, 0.5, 6.0), (9.0, 9.0, 9.0)),),
-        scope="first-hit",
+        scene, objects=(mirror, cube), lights=(PointLight((0.0, 0.5, 6.0), (9.0, 9.0, 9.0)),), scope="first-hit"
     )
 
 
@@ -251,9 +247,7 @@ def test_what_is_open():
     assert not open_sides(attrs.evolve(alone, objects=(attrs.evolve(scene.objects[1], mesh=smooth),))).any()
     vertices = mesh.vertices.copy()
     vertices[7] = vertices.mean(axis=0)  # dented
-    dented = attrs.evolve(
-        alone, objects=(attrs.evolve(scene.objects[1], mesh=attrs.evolve(mesh, vertices=vertices)),)
-    )
+    dented = attrs.evolve(alone, objects=(attrs.evolve(scene.objects[1], mesh=attrs.evolve(mesh, vertices=vertices)),))
     assert not open_sides(dented).any()
     assert open_sides(attrs.evolve(dented, ignore="object")).all()
     assert not open_sides(attrs.evolve(alone, intersection="paper")).any()
@@ -307,8 +301,6 @@ def test_the_plan_counts_what_is_saved(compiled):
 def test_disc_within_reach_is_not_open():
     """The gap decides: at a range of .79 below a disc at .8 nothing is traced, at .81 all is."""
     for reach, traced in ((0.79, False), (0.81, True)):
-        scene = attrs.evolve(
-            disc_over_plane(height=0.8, radius=0.6, occlusion_range=reach), resolution=(2, 2)
-        )
+        scene = attrs.evolve(disc_over_plane(height=0.8, radius=0.6, occlusion_range=reach), resolution=(2, 2))
         _, engine = drawn(scene, "ambient")
         assert (engine.counts[OCCLUSION] > 0) == traced

@@ -49,9 +49,7 @@ def paper_uv(origin: np.ndarray, direction: np.ndarray) -> tuple[float, float] |
 
 def test_bilinear_lookup_against_scipy(textured, interpolator):
     """Random u, v, and the borders: u = 0 and u = 1 are one place, v beyond the outer texel centres is constant."""
-    uv = np.concatenate(
-        [np.random.default_rng(2).uniform(0, 1, (200, 2)), [(0, 0.3), (1, 0.3), (0.5, 0), (0.5, 1)]]
-    )
+    uv = np.concatenate([np.random.default_rng(2).uniform(0, 1, (200, 2)), [(0, 0.3), (1, 0.3), (0.5, 0), (0.5, 1)]])
     for u, v in uv.tolist():
         np.testing.assert_allclose(sky_texture(textured, u, v), interpolator((v, u)), rtol=1e-12)
     np.testing.assert_allclose(sky_texture(textured, 0.0, 0.4), sky_texture(textured, 1.0, 0.4), rtol=1e-12)
@@ -87,12 +85,8 @@ def test_parallax(textured):
 def test_axes_of_the_map(textured):
     """From the centre: +y is the middle of the texture (u = .5), +x a quarter further, +z the top row."""
     centre = Vec3(*CENTER.tolist())
-    np.testing.assert_allclose(
-        sky_radiance(textured, centre, Vec3(0.0, 1.0, 0.0)), sky_texture(textured, 0.5, 0.5)
-    )
-    np.testing.assert_allclose(
-        sky_radiance(textured, centre, Vec3(1.0, 0.0, 0.0)), sky_texture(textured, 0.75, 0.5)
-    )
+    np.testing.assert_allclose(sky_radiance(textured, centre, Vec3(0.0, 1.0, 0.0)), sky_texture(textured, 0.5, 0.5))
+    np.testing.assert_allclose(sky_radiance(textured, centre, Vec3(1.0, 0.0, 0.0)), sky_texture(textured, 0.75, 0.5))
     top = sky_radiance(textured, centre, Vec3(0.0, 0.0, 1.0))
     np.testing.assert_allclose(top, sky_texture(textured, np.arctan2(0.0, 0.0) / (2 * np.pi) + 0.5, 0.0))
 

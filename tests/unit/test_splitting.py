@@ -5,7 +5,7 @@ import pytest
 
 from termwise.renderer import Engine, find
 from termwise.renderer.arrays import LIGHT_SAMPLES, light_samples
-from termwise.renderer.film import ALONE, most_of, samples_of, sights_of
+from termwise.renderer.film import ALONE, most_of, primary_hits_of, samples_of
 from termwise.renderer.plan import camera_rays
 from termwise.renderer.terms.ambient import SPLIT
 from termwise.scenes.load import load
@@ -19,11 +19,11 @@ PHOTONS = attrs.evolve(_UNSHADOWED, resolution=(8, 6), photons=attrs.evolve(_UNS
 
 @pytest.mark.parametrize("split", [1, 3, 4, 8])
 def test_sights_share_out_all_samples(split):
-    """Of any part of a run, each sample belongs to one sight: alone at first, then `split` of them together."""
+    """Of any part of a run, each sample belongs to one primary hit: alone at first, then `split` of them together."""
     for first in range(24):
         for last in range(first + 1, 40):
-            begin, end = sights_of(first, last, split)
-            parts = [range(*samples_of(sight, split, first, last)) for sight in range(begin, end)]
+            begin, end = primary_hits_of(first, last, split)
+            parts = [range(*samples_of(hit, split, first, last)) for hit in range(begin, end)]
             assert [sample for part in parts for sample in part] == list(range(first, last))
             assert all(len(part) == 1 for part in parts if part.start < ALONE)
             assert all(len(part) == split for part in parts[1:-1] if part.start >= ALONE)
@@ -43,12 +43,10 @@ def test_camera_rays_are_shared():
 
 
 def test_a_run_in_parts_has_the_bits_of_the_whole():
-    """Parts that end amid the samples of a sight."""
+    """Parts that end amid the samples of a primary hit."""
     with Engine(BOX, threads=2) as engine:
         *_, (_, whole, _) = engine.prefixes(find("ambient"), samples=19, seed=3, replicate=2, counts=(19,))
-        *_, (_, parts, _) = engine.prefixes(
-            find("ambient"), samples=19, seed=3, replicate=2, counts=(1, 6, 9, 15, 19)
-        )
+        *_, (_, parts, _) = engine.prefixes(find("ambient"), samples=19, seed=3, replicate=2, counts=(1, 6, 9, 15, 19))
     assert whole.tobytes() == parts.tobytes()
 
 
@@ -74,8 +72,7 @@ def test_where_light_samples_are_alike_one_is_enough():
 
 
 @pytest.mark.parametrize(
-    ("scene", "term", "samples"),
-    [(BOX, "ambient", 24), (load("two_cubes"), "ambient", 24), (PHOTONS, "direct", 4)],
+    ("scene", "term", "samples"), [(BOX, "ambient", 24), (load("two_cubes"), "ambient", 24), (PHOTONS, "direct", 4)]
 )
 def test_the_mean_is_not_moved(scene: Scene, term, samples, compiled):
     """Over 64 replicates, by Welch's test of each 8 x 8 tile and channel."""

@@ -17,16 +17,7 @@ from termwise.renderer import microfacet
 from termwise.renderer.vector import Vec3
 from termwise.reports import cli, stress
 from termwise.reports.pages import stress as page
-from termwise.reports.stress import (
-    exact,
-    garbage,
-    intersection,
-    photons,
-    radiance,
-    rounding,
-    shading,
-    tracers,
-)
+from termwise.reports.stress import exact, garbage, intersection, photons, radiance, rounding, shading, tracers
 from termwise.reports.stress.row import Row, measure
 from termwise.scenes.analytic import plate
 from termwise.scenes.load import load
@@ -121,11 +112,7 @@ def fails(group: str, name: str) -> bool:
     ("name", "fault", "planted"),
     [
         ("G1, alpha 0.3", "smith_g1", lambda mu, alpha: float(np.float32(microfacet.smith_g1(mu, alpha)))),
-        (
-            "weights, alpha 0.3, cosine 1e-12",
-            "sample_lobe",
-            lambda *given: (Vec3(0.0, 0.0, np.nan), Vec3(1, 1, 1)),
-        ),
+        ("weights, alpha 0.3, cosine 1e-12", "sample_lobe", lambda *given: (Vec3(0.0, 0.0, np.nan), Vec3(1, 1, 1))),
         ("weights, alpha 0.3, cosine 1", "sample_lobe", lambda *given: (UP, Vec3(1.0 + 2.0**-52, 1, 1))),
         ("furnace, alpha 0.3, cosine 1", "sample_lobe", lambda *given: (UP, Vec3(0.8, 0.8, 0.8))),
         ("reciprocity, alpha 0.3, F0 1", "eval_lobe", lambda wi, wo, alpha, f0: Vec3(wo.z, wo.z, wo.z)),
@@ -151,10 +138,7 @@ def test_a_planted_fault_fails_a_row_of_shading(name, fault, planted, monkeypatc
         ("specular, times 2^1", lambda image: image + 1e-10),
         ("specular, times 2^-1050", lambda image: np.where(image < 2.0**-1022, 0.0, image)),
         ("ambient, times -0", lambda image: np.where(image == 0.0, np.nan, image)),
-        (
-            "a lamp of 1e+30 beside a sky of 1",
-            lambda image: np.where(image < 1e-25 * image.max(), 0.0, image),
-        ),
+        ("a lamp of 1e+30 beside a sky of 1", lambda image: np.where(image < 1e-25 * image.max(), 0.0, image)),
     ],
 )
 def test_a_planted_fault_fails_a_row_of_radiance(name, fault, monkeypatch):
@@ -215,9 +199,7 @@ def grazing() -> Scene:
     """A plate under a point light 1e-4 above its plane and beside it: cosines of 1e-5 to 1e-4."""
     floor = plate("floor", (-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
     lamp = PointLight((-2.0, 0.3, 1e-4), (1.0, 1.0, 1.0))
-    return rounding.moved(
-        Scene("grazing", Camera((0.0, -3.0, 1.0), (0.0, 0.0, 0.0)), (floor,), lights=(lamp,))
-    )
+    return rounding.moved(Scene("grazing", Camera((0.0, -3.0, 1.0), (0.0, 0.0, 0.0)), (floor,), lights=(lamp,)))
 
 
 def irradiance(cosine):
@@ -269,9 +251,7 @@ def test_a_sample_that_goes_another_way_is_counted_apart():
 @pytest.mark.usefixtures("_fast")
 def test_samples_in_float32_fail_rows_of_rounding(monkeypatch):
     sound = rounding._image
-    monkeypatch.setattr(
-        rounding, "_image", lambda *given: sound(*given).astype(np.float32).astype(np.float64)
-    )
+    monkeypatch.setattr(rounding, "_image", lambda *given: sound(*given).astype(np.float32).astype(np.float64))
     rounding._spread.cache_clear()
     try:
         assert fails("rounding", "direct, median")
@@ -286,9 +266,7 @@ def test_any_value_in_any_field_is_refused_or_rendered(data):
     """Hypothesis in place of the rows' list of values: floats of all bits, integers, text, lists."""
     table, key = data.draw(st.sampled_from([(t, k) for t, keys in garbage.FIELDS.items() for k in keys]))
     number = st.floats().map(lambda x: "nan" if x != x else repr(x))
-    value = data.draw(
-        st.one_of(number, st.integers(-(2**70), 4096).map(str), st.sampled_from(garbage.VALUES))
-    )
+    value = data.draw(st.one_of(number, st.integers(-(2**70), 4096).map(str), st.sampled_from(garbage.VALUES)))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.toml"
         path.write_text(garbage.text(f"{table}.{key}", value), "utf-8")
@@ -306,9 +284,7 @@ def test_any_bytes_are_refused_or_rendered(bytes_):
 
 
 @pytest.mark.usefixtures("_fast")
-@pytest.mark.parametrize(
-    "error", [KeyError("a crash"), ValueError("two\nlines"), ValueError("something is wrong")]
-)
+@pytest.mark.parametrize("error", [KeyError("a crash"), ValueError("two\nlines"), ValueError("something is wrong")])
 def test_a_planted_fault_fails_a_row_of_garbage(error, monkeypatch):
     def planted(path):
         raise error
@@ -368,8 +344,7 @@ def test_a_crash_fails_the_row_and_is_told():
 
 def test_unknown_groups_and_rows_are_refused():
     with pytest.raises(
-        ValueError,
-        match="group = 'x': allowed are intersection, shading, radiance, photons, rounding, garbage",
+        ValueError, match="group = 'x': allowed are intersection, shading, radiance, photons, rounding, garbage"
     ):
         stress.measure(groups=("x",))
     with pytest.raises(ValueError, match="case = 'no such row'"):

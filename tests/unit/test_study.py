@@ -57,9 +57,7 @@ def test_presets_grow():
 
 def test_a_study_by_path(tmp_path: Path):
     path = tmp_path / "mine.toml"
-    path.write_text(
-        VALID + 'seed = 7\n[samples]\nambient = 4\n"ambient.paper" = 2\n[variants]\ndirect = ["path"]\n'
-    )
+    path.write_text(VALID + 'seed = 7\n[samples]\nambient = 4\n"ambient.paper" = 2\n[variants]\ndirect = ["path"]\n')
     mine = study.load(path)
     assert (mine.scenes, mine.resolution, mine.seed) == (("monkey",), (8, 8), 7)
     assert mine.variants_of("ambient") == ("cosine", "paper")
@@ -83,10 +81,7 @@ def test_a_study_by_path(tmp_path: Path):
         (VALID + "radii = [1.0, 0.5, 0.0]", ["radii = ", "(0, inf)"]),
         (VALID + SETTING + SETTING, ["settings", "'dark'", "twice"]),
         (VALID + SETTING.replace('"dark"', '"Dark side"'), ["settings", "Dark side"]),
-        (
-            VALID + SETTING + 'chain = "none"',
-            ["settings[0].chain = 'none'", "'next-event' or 'path' or 'paper'"],
-        ),
+        (VALID + SETTING + 'chain = "none"', ["settings[0].chain = 'none'", "'next-event' or 'path' or 'paper'"]),
         (VALID + SETTING + "other = 1", ["settings[0].other = 1", "unknown key"]),
         (VALID + SETTING.replace('["monkey"]', "[]"), ["settings", "scenes = []", "at least one"]),
         (VALID + "replicate = 4", ["replicate = 4", "unknown key", "replicates"]),
@@ -106,11 +101,7 @@ def test_a_study_by_path(tmp_path: Path):
         (VALID + '[samples]\ndirect = "16"', ["samples", "'16'", "an integer"]),
         (
             VALID + '[variants]\ndirect = ["photons"]',
-            [
-                "variants",
-                "'photons'",
-                "next-event, path, paper, paper-unweighted, photon-map, nearest",
-            ],
+            ["variants", "'photons'", "next-event, path, paper, paper-unweighted, photon-map, nearest"],
         ),
         (VALID + "[variants]\ndirect = []", ["variants", "direct = []", "next-event"]),
         (VALID + '[variants]\ndirect = ["path", "path"]', ["variants", "direct", "'path'", "twice"]),
@@ -200,9 +191,7 @@ def test_a_variant_of_another_scope_is_refused():
     """The box means first hits, `path` all bounces: the difference would be laid to the setting."""
     setting = study.Setting(name="dark", what="", scenes=("cornell_box",), change={"irradiance": "E"})
     mine = study.Study(scenes=("cornell_box",), resolution=(8, 8), settings=(setting,))
-    with pytest.raises(
-        ValueError, match=r"direct = 'path', of scope 'all': allowed .* 'first-hit' are next-event"
-    ):
+    with pytest.raises(ValueError, match=r"direct = 'path', of scope 'all': allowed .* 'first-hit' are next-event"):
         list(subjects.subjects(mine, subjects.scenes_of(mine)))
 
 
@@ -215,10 +204,7 @@ def test_settings_of_presets_can_be(name: str):
 
 def test_settings_of_scenes_that_are_not_measured_are_left_out():
     variants = study.load("variants")
-    names = [
-        subject.scene.name
-        for subject in subjects.subjects(variants, subjects.scenes_of(variants, ("monkey",)))
-    ]
+    names = [subject.scene.name for subject in subjects.subjects(variants, subjects.scenes_of(variants, ("monkey",)))]
     assert names[0] == "monkey"
     assert all(name.startswith("monkey.") for name in names[1:])
     assert "monkey.as-printed" in names

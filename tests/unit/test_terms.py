@@ -119,9 +119,7 @@ def test_what_is_in_every_key(scene: Scene, record_property):
     assert {*expected, "resolution", "intersection"} <= {*everywhere}
     new = {*everywhere} - {*expected, "resolution", "intersection"}
     record_property("in every key", everywhere)
-    print(
-        f"in every key for no row names them: {', '.join(everywhere)}; of these new: {sorted(new) or 'none'}"
-    )
+    print(f"in every key for no row names them: {', '.join(everywhere)}; of these new: {sorted(new) or 'none'}")
 
 
 PAPER = {"shadows": "paper"}
@@ -173,8 +171,7 @@ def test_keys_are_no_finer_than_the_images(path: str, value: Any, base: dict, ou
     touched = {
         term
         for term, name in DEFAULTS.items()
-        if len({cells.content(each, VARIANTS[term][name], chain="next-event") for each in (start, after)})
-        == 2
+        if len({cells.content(each, VARIANTS[term][name], chain="next-event") for each in (start, after)}) == 2
     }
     assert touched == set(ours.split())
     touched = {
@@ -228,9 +225,7 @@ def test_a_fifth_term_is_a_row_and_a_file(tmp_path: Path):
         )
     shutil.copy(PROJECT / "termwise" / "__init__.py", tmp_path / "termwise")
     background = (PROJECT / "renderer" / "terms" / "background.py").read_text("utf-8")
-    ours = background.replace('term="background"', 'term="glow"').replace(
-        'Limit("background")', 'Limit("glow")'
-    )
+    ours = background.replace('term="background"', 'term="glow"').replace('Limit("background")', 'Limit("glow")')
     (tmp_path / "termwise" / "renderer" / "terms" / "glow.py").write_text(ours, "utf-8")
     table = tmp_path / "termwise" / "scenes" / "terms.py"
     text = table.read_text("utf-8")
@@ -272,11 +267,6 @@ for limit in (correct("glow", "all"), physical("glow")):
 """
     environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=environment,
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr

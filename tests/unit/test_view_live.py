@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from termwise.renderer import render_terms
-from termwise.renderer.tiles import Engine
+from termwise.renderer.engine import Engine
 from termwise.reports.live.live import KEPT, Frame, Live, _Sum
 from termwise.reports.live.state import State, put
 from termwise.scenes.load import load
@@ -48,9 +48,7 @@ class Watch:
         def found() -> Frame | None:
             for frame in self.frames:
                 views = frame.terms.values()
-                if frame.number == number and all(
-                    v.samples >= samples or v.status == "skipped" for v in views
-                ):
+                if frame.number == number and all(v.samples >= samples or v.status == "skipped" for v in views):
                     return frame
             return None
 

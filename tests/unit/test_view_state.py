@@ -8,18 +8,7 @@ import numpy as np
 import pytest
 
 from termwise.reports.live.inputs import groups
-from termwise.reports.live.state import (
-    History,
-    State,
-    command,
-    get,
-    invalidated,
-    named,
-    orbit,
-    pan,
-    put,
-    zoom,
-)
+from termwise.reports.live.state import History, State, command, get, invalidated, named, orbit, pan, put, zoom
 from termwise.scenes.load import load
 from termwise.scenes.save import save
 from termwise.scenes.terms import TERMS
@@ -163,18 +152,14 @@ def test_the_camera_goes_round_its_target():
     assert before @ after == pytest.approx(0.0, abs=1e-4)
     top = orbit(camera, 0.0, 500.0)
     assert top.position[2] - top.target[2] == pytest.approx(distance * math.sin(math.radians(89.0)), rel=1e-4)
-    np.testing.assert_allclose(
-        orbit(orbit(camera, 20.0, 5.0), -20.0, -5.0).position, camera.position, atol=1e-4
-    )
+    np.testing.assert_allclose(orbit(orbit(camera, 20.0, 5.0), -20.0, -5.0).position, camera.position, atol=1e-4)
 
 
 def test_pan_and_zoom():
     camera = MONKEY.scene.camera
     near = zoom(camera, 0.5)
     assert near.target == camera.target
-    assert math.dist(near.position, near.target) == pytest.approx(
-        0.5 * math.dist(camera.position, camera.target)
-    )
+    assert math.dist(near.position, near.target) == pytest.approx(0.5 * math.dist(camera.position, camera.target))
     shifted = pan(camera, 0.1, 0.0)
     moved = np.subtract(shifted.target, camera.target)
     np.testing.assert_allclose(np.subtract(shifted.position, camera.position), moved, atol=1e-5)
@@ -184,9 +169,7 @@ def test_pan_and_zoom():
 def test_the_command_names_what_differs(tmp_path):
     assert named(CUBES) == "two_cubes"
     assert command(CUBES, "two_cubes", 16) == "termwise render two_cubes --samples 16 --seed 0"
-    changed = put(
-        put(put(CUBES, ("scene", "resolution"), (64, 32)), ("variants", "direct"), "path"), ("seed",), 3
-    )
+    changed = put(put(put(CUBES, ("scene", "resolution"), (64, 32)), ("variants", "direct"), "path"), ("seed",), 3)
     assert named(changed) == "two_cubes"
     words = shlex.split(command(changed, "two_cubes", 4))
     assert words[3:] == "--samples 4 --seed 3 --resolution 64 32 --variant direct=path".split()

@@ -65,9 +65,7 @@ def test_moments(warp, moments, square):
 def test_cosine_density_integrates_to_one():
     """∫ pdf dw = 2 pi ∫_0^1 pdf(mu) dmu = 1, and 0 below the horizon."""
     mu = (np.arange(1000) + 0.5) / 1000
-    assert 2 * np.pi * np.mean([square_to_cosine_hemisphere_pdf(m) for m in mu.tolist()]) == pytest.approx(
-        1.0
-    )
+    assert 2 * np.pi * np.mean([square_to_cosine_hemisphere_pdf(m) for m in mu.tolist()]) == pytest.approx(1.0)
     assert square_to_cosine_hemisphere_pdf(-0.3) == 0.0
 
 

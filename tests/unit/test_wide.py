@@ -19,32 +19,20 @@ from termwise.renderer.geometry.packets import new_rays8
 from termwise.renderer.geometry.rays import any_hit, any_hits, closest_hit, closest_hits, reference_hits
 from termwise.renderer.vector import Vec3
 
-pytestmark = pytest.mark.skipif(
-    not simd.available(), reason="the processor lacks the vectors, or nothing is compiled"
-)
+pytestmark = pytest.mark.skipif(not simd.available(), reason="the processor lacks the vectors, or nothing is compiled")
 
 Hits = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def fast(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, far: float) -> Hits:
-    t, face, found = (
-        np.empty(len(origins)),
-        np.empty(len(origins), np.int32),
-        np.empty(len(origins), np.bool_),
-    )
+    t, face, found = (np.empty(len(origins)), np.empty(len(origins), np.int32), np.empty(len(origins), np.bool_))
     closest_hits(corners, tree, origins, directions, far, t, face, new_rays8())
     any_hits(corners, tree, origins, directions, far, found, new_rays8())
     return t, face, found
 
 
-def reference(
-    corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, far: float
-) -> Hits:
-    t, face, found = (
-        np.empty(len(origins)),
-        np.empty(len(origins), np.int32),
-        np.empty(len(origins), np.bool_),
-    )
+def reference(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, far: float) -> Hits:
+    t, face, found = (np.empty(len(origins)), np.empty(len(origins), np.int32), np.empty(len(origins), np.bool_))
     reference_hits(corners, tree, origins, directions, far, t, face, found)
     return t, face, found
 
@@ -118,9 +106,7 @@ def mesh(name: str) -> np.ndarray:
         "huge": 1e12 * soup(rng, 200, 0.2),
         "geometric": soup(rng, 200, 0.05) * 2.0 ** np.linspace(-15, 15, 200)[:, None, None],
         "many": soup(rng, 20_000, 0.02),
-        "room": np.concatenate(
-            [4.0 * box.vertices[box.faces], *(box.vertices[box.faces] + x for x in blocks)]
-        ),
+        "room": np.concatenate([4.0 * box.vertices[box.faces], *(box.vertices[box.faces] + x for x in blocks)]),
     }[name]
 
 
@@ -138,10 +124,7 @@ MESHES = (
     "geometric",
     "many",
     "room",
-    *(
-        f"a few of {name}"
-        for name in ("soup", "without area", "far from the origin", "tiny", "huge", "geometric")
-    ),
+    *(f"a few of {name}" for name in ("soup", "without area", "far from the origin", "tiny", "huge", "geometric")),
 )
 
 
@@ -155,9 +138,7 @@ def points_on(rng: np.random.Generator, corners: np.ndarray, count: int) -> np.n
     return np.where(rng.integers(0, 4, (count, 1)) == 0, inside, (1 - weight) * a + weight * b)
 
 
-def aimed_rays(
-    kind: str, rng: np.random.Generator, corners: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray]:
+def aimed_rays(kind: str, rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     centre, extent = 0.5 * low + 0.5 * high, float((high - low).max())
     targets = points_on(rng, corners, count)

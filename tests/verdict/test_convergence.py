@@ -142,9 +142,7 @@ def test_extrapolation_covers_the_truth():
     covered = 0
     for _ in range(200):
         noise = (rng.normal(size=(4, 16)) + rng.normal(size=16)) * 0.02 / radii[:, None]
-        found = extrapolate(
-            radii, [jackknifed(1 + r * r + each) for r, each in zip(radii, noise, strict=True)]
-        )
+        found = extrapolate(radii, [jackknifed(1 + r * r + each) for r, each in zip(radii, noise, strict=True)])
         covered += found.low(0.05) <= 1 <= found.high(0.05)
     # Three standard deviations of the binomial around 180.
     assert abs(covered - 180) <= 3 * np.sqrt(200 * 0.9 * 0.1)

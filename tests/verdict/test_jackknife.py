@@ -35,9 +35,7 @@ def test_gram_gives_the_definition_and_its_leave_one_out(sizes):
             for i in range(sizes[side])
         ]
         np.testing.assert_allclose(without, expected, atol=1e-12)
-    spread = sum(
-        (len(each) - 1) / len(each) * ((each - each.mean()) ** 2).sum() for each in estimate.leave_one_out
-    )
+    spread = sum((len(each) - 1) / len(each) * ((each - each.mean()) ** 2).sum() for each in estimate.leave_one_out)
     assert estimate.standard_error == pytest.approx(np.sqrt(spread))
     assert estimate.dof == min(size for size in sizes if size > 1) - 1
 
@@ -49,8 +47,7 @@ def test_gram_reads_images_and_ignores_a_common_picture():
     ours = common + np.tile([[1e-4]], (4, 1))[:, :, None, None] * np.array([1, -1, 1, -1]).reshape(4, 1, 1, 1)
     reference = np.repeat(common + 1e-4, 4, axis=0)
     assert gram(ours, reference).squared_distance().value == pytest.approx(
-        theta(ours.reshape(4, -1) - common.reshape(1, -1), reference.reshape(4, -1) - common.reshape(1, -1)),
-        rel=1e-3,
+        theta(ours.reshape(4, -1) - common.reshape(1, -1), reference.reshape(4, -1) - common.reshape(1, -1)), rel=1e-3
     )
 
 

@@ -117,8 +117,7 @@ def test_the_detectable_bias_shrinks_with_the_noise(replicates, picture):
     """Ten times less noise: ten times less of it that exceeds the tolerated 0.1 %, up to the noise of SE itself."""
     rng = np.random.default_rng(17)
     loud, quiet = (
-        judge(*(replicates(rng, picture(32, 32), noise=noise) for _ in range(2))).row()["detectable_bias"]
-        - 0.001
+        judge(*(replicates(rng, picture(32, 32), noise=noise) for _ in range(2))).row()["detectable_bias"] - 0.001
         for noise in (0.3, 0.03)
     )
     assert 5 < loud / quiet < 20

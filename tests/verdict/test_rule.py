@@ -66,9 +66,7 @@ def rule(ours, reference, objects, tests, allowance, margin, kernel) -> str:
     ours, reference = ours.astype(np.float64), reference.astype(np.float64)
     level, tolerated = 0.05 / tests, 0.001 + allowance
     mean = reference.mean(axis=(0, 1, 2)) @ WEIGHTS
-    for inside in [np.ones(objects.shape, dtype=bool)] + [
-        objects == i for i in np.unique(objects[objects >= 0])
-    ]:
+    for inside in [np.ones(objects.shape, dtype=bool)] + [objects == i for i in np.unique(objects[objects >= 0])]:
         for channel in range(3):
             x, y = (each[:, inside, channel].mean(axis=1) for each in (ours, reference))
             low, high = np.array(welch(x, y, level)) / max(y.mean(), 0.1 * mean)
@@ -82,9 +80,7 @@ def rule(ours, reference, objects, tests, allowance, margin, kernel) -> str:
                 return "BIASED"
         a, b = blocks(ours @ WEIGHTS, 16), blocks(reference @ WEIGHTS, 16)
         for y, x in np.ndindex(a.shape[1:]):
-            low, high = np.array(welch(a[:, y, x], b[:, y, x], level / a[0].size)) / max(
-                b[:, y, x].mean(), mean
-            )
+            low, high = np.array(welch(a[:, y, x], b[:, y, x], level / a[0].size)) / max(b[:, y, x].mean(), mean)
             if low > 0.005 or high < -0.005:
                 return "BIASED"
     theta, error = shape(ours, reference, 8)
@@ -123,9 +119,7 @@ def test_the_rule_written_twice(rng, replicates, picture):
         found = decide(statistics, tests=tests, **options).verdict
         assert found == rule(ours, reference, objects, tests=tests, **options)
         words.append(found)
-    assert min(words.count(word) for word in ("BIASED", "EQUIVALENT", "UNDERPOWERED")) >= 10, (
-        "all are visited"
-    )
+    assert min(words.count(word) for word in ("BIASED", "EQUIVALENT", "UNDERPOWERED")) >= 10, "all are visited"
 
 
 def test_wrong_variants_have_their_own_words(rng, replicates, picture):
@@ -363,9 +357,7 @@ def test_a_side_that_never_varies_has_equal_seeds_unless_it_has_no_noise(pair):
     copies = np.repeat(ours[:1], 16, axis=0)
     with pytest.raises(ValueError, match=r"all replicates of ours .* equal seeds\? .*--noiseless"):
         judge(copies, reference)
-    with pytest.raises(
-        ValueError, match=r"all replicates of the reference .* equal seeds\? .*--reference-exact"
-    ):
+    with pytest.raises(ValueError, match=r"all replicates of the reference .* equal seeds\? .*--reference-exact"):
         judge(ours, np.repeat(reference[:1], 16, axis=0))
     assert "ours are the same image" in judge(copies, reference, noiseless=True).warnings[0]
 
@@ -390,9 +382,7 @@ def test_few_replicates(pair):
             measure(*arguments)
     with pytest.raises(ValueError, match="an exact reference is one image"):
         measure(ours, reference, exact=True)
-    assert any(
-        warning.startswith("8 replicates of ours") for warning in measure(ours[:8], reference).warnings
-    )
+    assert any(warning.startswith("8 replicates of ours") for warning in measure(ours[:8], reference).warnings)
     assert measure(ours, reference).warnings == ()
     assert "taken as exact" in judge(ours, reference[0].mean(axis=0) + 0 * reference[0], exact=True).sentence
 
@@ -400,10 +390,7 @@ def test_few_replicates(pair):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            {"ours": np.ones((4, 8, 9, 3))},
-            r"ours: images of shape \(8, 9, 3\), but the reference's are \(8, 8, 3\)",
-        ),
+        ({"ours": np.ones((4, 8, 9, 3))}, r"ours: images of shape \(8, 9, 3\), but the reference's are \(8, 8, 3\)"),
         ({"ours": np.ones((4, 8, 8))}, r"ours: shape \(4, 8, 8\); allowed"),
         ({"ours": np.ones((4, 8, 8, 4))}, "ours: shape"),
         ({"ours": np.ones((4, 0, 8, 3))}, "ours: shape"),
@@ -430,8 +417,7 @@ def test_judge_takes_lists_of_images_and_names_the_one_that_differs():
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"kind": "odd"}, {"tests": 5}, {"margin": 0.0}, {"allowance": -0.1}, {"margin": np.nan}, {"samples": 0}],
+    "options", [{"kind": "odd"}, {"tests": 5}, {"margin": 0.0}, {"allowance": -0.1}, {"margin": np.nan}, {"samples": 0}]
 )
 def test_bad_options_are_refused(pair, options):
     with pytest.raises(ValueError, match=next(iter(options))):
@@ -451,14 +437,7 @@ def test_rows_that_are_not_judged_have_numbers_but_no_word(pair):
 
 def test_a_smaller_level_means_a_wider_interval_and_a_larger_detectable_bias(pair):
     few, many = (decide(measure(*pair), tests=tests).row() for tests in (6, 6000))
-    ends = [
-        many["family_low"],
-        few["family_low"],
-        few["bias_low"],
-        few["bias"],
-        few["bias_high"],
-        few["family_high"],
-    ]
+    ends = [many["family_low"], few["family_low"], few["bias_low"], few["bias"], few["bias_high"], few["family_high"]]
     assert ends == sorted(ends)
     assert many["detectable_bias"] > few["detectable_bias"] > 0.001
     assert "5%/6000" in many["sentence"]
@@ -526,9 +505,7 @@ def test_bands_and_memory_maps_change_nothing(tmp_path, rng, replicates, picture
     np.testing.assert_allclose([found[key] for key in numbers], [expected[key] for key in numbers], rtol=1e-9)
     assert found["tile"] == expected["tile"]
     np.testing.assert_allclose(
-        [region["bias"] for region in found["regions"]],
-        [region["bias"] for region in expected["regions"]],
-        rtol=1e-9,
+        [region["bias"] for region in found["regions"]], [region["bias"] for region in expected["regions"]], rtol=1e-9
     )
 
 

@@ -80,12 +80,7 @@ def test_places_without_noise_are_tested_against_rounding_and_left_out_of_the_hi
     assert maps[16].p[0, 1] > 0.1
     assert maps[16].holm[0, 2] < 1e-6
     eight, sixteen, _ = summary(maps)
-    assert (sixteen["tiles"], sixteen["tested"], sixteen["left_out"], sum(sixteen["histogram"])) == (
-        6,
-        5,
-        3,
-        3,
-    )
+    assert (sixteen["tiles"], sixteen["tested"], sixteen["left_out"], sum(sixteen["histogram"])) == (6, 5, 3, 3)
     assert (eight["tiles"], eight["tested"], eight["left_out"], sum(eight["histogram"])) == (24, 20, 12, 12)
 
 
@@ -133,9 +128,7 @@ def test_a_channel_that_is_right_is_rarely_named():
     named, reds = 0, []
     for _ in range(300):
         # Channels with noise of their own, which a right one may have in common with luminance.
-        ours, reference = (
-            (each * rng.gamma(4.0, 0.25, (16, 32, 32, 3))).astype(np.float32) for each in (wrong, mean)
-        )
+        ours, reference = ((each * rng.gamma(4.0, 0.25, (16, 32, 32, 3))).astype(np.float32) for each in (wrong, mean))
         found = summary(tile_maps(measure(ours, reference)))[0]["found"]
         named += any({"green", "blue"} & set(tile["channels"]) for tile in found)
         reds.append(sum("red" in tile["channels"] for tile in found))
@@ -238,9 +231,7 @@ def test_skewness_is_the_worse_sides_median_and_scipys():
     rng = np.random.default_rng(32)
     mean = np.ones((16, 24, 3))
     ours, reference = gamma(rng, mean, 9, noise=3.0), gamma(rng, mean, 11, noise=0.1)
-    tile_values = [
-        (each @ WEIGHTS).reshape(len(each), 2, 8, 3, 8).mean(axis=(2, 4)) for each in (ours, reference)
-    ]
+    tile_values = [(each @ WEIGHTS).reshape(len(each), 2, 8, 3, 8).mean(axis=(2, 4)) for each in (ours, reference)]
     expected = max(np.median(stats.skew(values, axis=0, bias=False)) for values in tile_values)
     assert measure(ours, reference).tile_skewness[8] == pytest.approx(expected, rel=1e-4)
 

@@ -20,9 +20,7 @@ def linear_rec709(wavelengths: np.ndarray, reflectance: np.ndarray) -> np.ndarra
     (3,) float64 array.
     """
     grid = colour.SpectralShape(360, 780, 1)
-    spectrum = colour.SpectralDistribution(
-        np.interp(grid.wavelengths, wavelengths, reflectance), grid.wavelengths
-    )
+    spectrum = colour.SpectralDistribution(np.interp(grid.wavelengths, wavelengths, reflectance), grid.wavelengths)
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(grid)
     daylight = colour.SDS_ILLUMINANTS["D65"].copy().align(grid)
     xyz = colour.sd_to_XYZ(spectrum, observer, daylight, method="Integration") / 100

@@ -175,9 +175,7 @@ def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, resu
         truth = _truth(engine, cases[0], limit, finest=max(counts))
         # Twice, for other work on the machine must not put a setting out of reach.
         first = {
-            setting: _joined(
-                [_theirs(setting, truth, seconds, seed=_SEED + runs + each) for each in range(2)]
-            )
+            setting: _joined([_theirs(setting, truth, seconds, seed=_SEED + runs + each) for each in range(2)])
             for setting in settings
         }
         for case, count in zip(cases, counts, strict=True):
@@ -196,9 +194,7 @@ def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, resu
             ours = curves.pop("ours")
             floor = _floor(images, truth) if case.kernel_based else None
             facts = {"compile_seconds": engine.compile_seconds, "floor": floor}
-            result["curves"].append(
-                common | {"side": "ours", "setting": case.label} | facts | _points(ours, truth)
-            )
+            result["curves"].append(common | {"side": "ours", "setting": case.label} | facts | _points(ours, truth))
             for setting in settings:
                 curve = curves.get(setting, first[setting])
                 facts = {"compile_seconds": setting.compile_seconds, "trace_seconds": setting.overhead}
@@ -216,9 +212,7 @@ def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, resu
 
 def _affordable(engine: Engine, case: Case, seconds: float) -> int:
     """Samples, a power of two, that one run can afford; compiles."""
-    for count, _, spent in engine.prefixes(
-        case.variant, samples=_ENDLESS, seed=0, replicate=0, chain=case.chain
-    ):
+    for count, _, spent in engine.prefixes(case.variant, samples=_ENDLESS, seed=0, replicate=0, chain=case.chain):
         # Four points at least, so that there is a curve.
         if count >= 8 and spent > seconds / 2:
             return count
@@ -230,17 +224,13 @@ def _truth(engine: Engine, case: Case, limit: Limit, *, finest: int) -> Truth:
     samples = _FINER * finest
     ours = []
     for run in range(_TRUTH_RUNS):
-        *_, (_, image, _) = engine.prefixes(
-            variant, samples=samples, seed=_TRUTH_SEED, replicate=run, chain=chain
-        )
+        *_, (_, image, _) = engine.prefixes(variant, samples=samples, seed=_TRUTH_SEED, replicate=run, chain=chain)
         ours.append(image)
     theirs = [
         reference.replicate(case.scene, limit, spp=_TRUTH_SPP, seed=_TRUTH_SEED, replicate=run)
         for run in range(_TRUTH_RUNS)
     ]
-    means, noises = zip(
-        *(_mean_and_noise(np.array(runs, np.float64)) for runs in (ours, theirs)), strict=True
-    )
+    means, noises = zip(*(_mean_and_noise(np.array(runs, np.float64)) for runs in (ours, theirs)), strict=True)
     total = sum(noises)
     if total == 0.0:
         return Truth(means[0], 0.0, float(np.sqrt(np.mean((means[0] - means[1]) ** 2))))

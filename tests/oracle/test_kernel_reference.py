@@ -1,4 +1,4 @@
-"""The twin: its kernels' masses and bias by closed laws, its photons' flux, and the renderer's own photon estimates."""
+"""The kernel reference: masses and bias by closed laws, its photons' flux, and the renderer's own photon estimates."""
 
 import attrs
 import numpy as np
@@ -110,9 +110,7 @@ def test_mass_on_a_plane_is_one(shape):
 
 def test_mass_counts_the_same_surface_only():
     """A perpendicular wall, the back of a fold and another object add nothing; a plane turned by 60° adds its half."""
-    half_turn = np.array(
-        [[1, 0, 0], [0, 0.5, np.sqrt(0.75)], [0, 0, 0]]
-    )  # y -> (1/2, √3/2): the plane folded up
+    half_turn = np.array([[1, 0, 0], [0, 0.5, np.sqrt(0.75)], [0, 0, 0]])  # y -> (1/2, √3/2): the plane folded up
     ground = square() - [0.5, 1.0, 0.0]
     folded = (square() - [0.5, 0.0, 0.0]) @ half_turn
     wall = (square() - [0.5, 0.0, 0.0]) @ np.array([[1, 0, 0], [0, 0, 1], [0, 0, 0]])
@@ -134,9 +132,7 @@ def test_constant_irradiance_is_unbiased_up_to_corners(shape):
     count, radius = 300, 0.15
     values = np.array(
         [
-            by_kernel(
-                PLATE, points, photons_at(rng.random((count, 2)), 1 / count), shape=shape, radius=radius
-            )[:, 1]
+            by_kernel(PLATE, points, photons_at(rng.random((count, 2)), 1 / count), shape=shape, radius=radius)[:, 1]
             for _ in range(1200)
         ]
     )
@@ -231,19 +227,19 @@ def test_photons_of_other_surfaces_never_count():
 
 def traced(scene: Scene, maps: int, count: int, **options) -> list[Photons]:
     loaded = reference.loaded(scene)
-    from termwise.reference import twin
+    from termwise.reference import kernel_reference
 
-    surfaces = twin.surfaces_of(loaded.scenes["direct"])
-    return [twin.trace(surfaces, np.random.default_rng((11, k)), count=count, **options) for k in range(maps)]
+    surfaces = kernel_reference.surfaces_of(loaded.scenes["direct"])
+    return [
+        kernel_reference.trace(surfaces, np.random.default_rng((11, k)), count=count, **options) for k in range(maps)
+    ]
 
 
 @pytest.mark.parametrize(("height", "beside"), [(0.3, 0.0), (2.0, 0.0), (1.0, 5.0), (0.3, 1.0)])
 def test_flux_of_a_point_light_on_a_square(height, beside):
     """I Ω lands, Ω the square's solid angle, though photons outside of the cone about it are never traced."""
     square = plate("square", (-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
-    scene = attrs.evolve(
-        closed_box(), objects=(square,), lights=(PointLight((beside, 0.0, height), (2.0, 2.0, 2.0)),)
-    )
+    scene = attrs.evolve(closed_box(), objects=(square,), lights=(PointLight((beside, 0.0, height), (2.0, 2.0, 2.0)),))
     maps, count = 40, 5000
     landed = traced(scene, maps, count, first_hits=True, weighted=True)
     flux = np.array([photons.power.sum(axis=0)[0] for photons in landed])
@@ -336,9 +332,7 @@ def test_scattered_photons_have_cosine_density():
 
 def rendered(scene: Scene, kernel: Kernel, maps: int, replicates: int, seed: int = 3) -> np.ndarray:
     limit = Limit("direct", scope="all", kernel=kernel)
-    return np.array(
-        [reference.replicate(scene, limit, spp=maps, seed=seed, replicate=k) for k in range(replicates)]
-    )
+    return np.array([reference.replicate(scene, limit, spp=maps, seed=seed, replicate=k) for k in range(replicates)])
 
 
 def times(factor: float, vector: Vector) -> Vector:
@@ -347,8 +341,7 @@ def times(factor: float, vector: Vector) -> Vector:
 
 
 @pytest.mark.parametrize(
-    "kernel",
-    [Kernel("simpson", "scattered", radius=0.3, passes=2), Kernel("nearest", nearest=10, photons=2000)],
+    "kernel", [Kernel("simpson", "scattered", radius=0.3, passes=2), Kernel("nearest", nearest=10, photons=2000)]
 )
 def test_scale_changes_nothing(kernel):
     """Lengths times 4, radius too, intensity times 16: the same canonical scene, hence equal bits."""
@@ -373,14 +366,14 @@ def test_scale_changes_nothing(kernel):
 def test_radii_of_the_passes():
     """r²_i = r²_1 prod_{j<i} (j + 2/3) / (j + 1): maps as many as passes take each radius once."""
     reference.loaded(closed_box())
-    from termwise.reference import twin
+    from termwise.reference import kernel_reference
 
     kernel = attrs.asdict(Kernel("simpson", radius=0.3, passes=5))
     squares = [0.09]
     for j in range(1, 5):
         squares.append(squares[-1] * (j + 2 / 3) / (j + 1))
     for offset in (0.0, 0.3, 0.999):
-        found = [twin.pass_radius(kernel, (number + offset) / 5) ** 2 for number in range(5)]
+        found = [kernel_reference.pass_radius(kernel, (number + offset) / 5) ** 2 for number in range(5)]
         np.testing.assert_allclose(found, squares, rtol=1e-12)
 
 
@@ -411,9 +404,7 @@ REPLICATES = 16
 MAPS = {"cornell_box_unshadowed": 1, "two_cubes": 4, "monkey": 8}
 
 
-def compare(
-    name: str, variant: str, kernel: Kernel, kind: verdict.Kind, *, maps: int
-) -> tuple[str | None, np.ndarray]:
+def compare(name: str, variant: str, kernel: Kernel, kind: verdict.Kind, *, maps: int) -> tuple[str | None, np.ndarray]:
     """Verdict with no allowance at 32 x 32, and z of the image's mean in each channel."""
     scene = attrs.evolve(load(name), resolution=(32, 32))
     chosen = renderer.find("direct", variant)
@@ -434,9 +425,7 @@ def compare(
 def test_renderer_next_event_is_its_twin(name):
     """Light sampling plus the progressive Simpson kernel, radii of all passes: EQUIVALENT, and |z| < 3.5 of 30 dof."""
     radius = load(name).photons.radius
-    word, z = compare(
-        name, "next-event", Kernel("simpson", "scattered", radius, MAPS[name]), "right", maps=MAPS[name]
-    )
+    word, z = compare(name, "next-event", Kernel("simpson", "scattered", radius, MAPS[name]), "right", maps=MAPS[name])
     assert word == "EQUIVALENT"
     assert (np.abs(z) < 3.5).all()
 

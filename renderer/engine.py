@@ -19,7 +19,7 @@ from termwise.renderer.arrays import SceneArrays, from_scene
 from termwise.renderer.film import GeometryImages, Tile, trace_centres
 from termwise.renderer.jit import warm
 from termwise.renderer.plan import (
-    ECONOMIES,
+    REDUCTIONS,
     SKIPS,
     check,
     may_see,
@@ -89,8 +89,8 @@ class Engine:
     ----------
     scene : the scene.
     threads : number of threads; None: one a core.
-    without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work; or of ECONOMIES: the same
-        mean for more noise.
+    without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work; or of REDUCTIONS: the
+        same mean for more noise.
     adaptive : whether a pilot decides how many samples each tile gets, see `renderer.adaptive`; N is then the mean.
     kept_bytes : memory for photon maps, and as much for what camera rays meet, kept while one replicate is rendered:
         terms that mean the same maps trace them once, and all terms the camera rays, which changes no bit, but the
@@ -116,10 +116,8 @@ class Engine:
         if threads is not None and threads < 1:
             raise ValueError(f"threads = {threads}: allowed is at least 1")
         if adaptive and pixel is not None:
-            raise ValueError(
-                "pixel with adaptive = True: allowed is one of them, the pilot needs the whole image"
-            )
-        allowed = *SKIPS, *ECONOMIES
+            raise ValueError("pixel with adaptive = True: allowed is one of them, the pilot needs the whole image")
+        allowed = *SKIPS, *REDUCTIONS
         for name in without:
             if name not in allowed:
                 raise ValueError(f"without = {name!r}: allowed are {', '.join(allowed)}")
@@ -278,7 +276,7 @@ class Engine:
                     photons = self._shared(variant, chain, stored, key, number, emitted, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
                 work = _work(tiles, share, first, last, split)
-                self._run(driver, inputs, key, work, out, self._sights(key, request.samples), cancel)
+                self._run(driver, inputs, key, work, out, self._room_for_hits(key, request.samples), cancel)
                 self._add_beyond(variant.term, out, last - first)
                 first = last
                 request.done(last)
@@ -334,9 +332,7 @@ class Engine:
         """Depth, normal, object and face along the rays through the pixels' centres."""
         width, height = self.scene.resolution
         shape = (height, width)
-        images = GeometryImages(
-            np.full(shape, np.inf), np.zeros((*shape, 3)), np.full(shape, -1), np.full(shape, -1)
-        )
+        images = GeometryImages(np.full(shape, np.inf), np.zeros((*shape, 3)), np.full(shape, -1), np.full(shape, -1))
 
         def draw(tile: Tile) -> None:
             trace_centres(self.arrays, tile, images, self._scratch())
@@ -376,7 +372,7 @@ class Engine:
         for other in others:
             other.result()
 
-    def _sights(self, key: np.uint64, samples: int) -> Seen:
+    def _room_for_hits(self, key: np.uint64, samples: int) -> Seen:
         """Room for what the camera rays of a replicate meet; what another one has left there is forgotten."""
         width, height = self.scene.resolution
         room = min(samples, self._kept_bytes // (width * height * SEEN_BYTES))

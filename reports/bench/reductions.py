@@ -1,4 +1,4 @@
-"""What each economy is worth: `(variance · seconds with it) / (variance · seconds without)`; and it shifts no mean.
+"""What each reduction is worth: `(variance · seconds with it) / (variance · seconds without)`; and it shifts no mean.
 
 Both ways render the same replicates in turn, in batches: a batch gives one ratio of variances (between its replicates,
 mean over pixels and channels) and one of processor seconds; the product is what equal error costs, below 1 a gain. The
@@ -14,7 +14,7 @@ import attrs
 import numpy as np
 
 from termwise.renderer import Engine, Variant, find
-from termwise.renderer.plan import ECONOMIES, needs_photons, skipped
+from termwise.renderer.plan import REDUCTIONS, needs_photons, skipped
 from termwise.renderer.terms import Chain
 from termwise.reports.bench.common import known, machine, positive, spread
 from termwise.reports.statistics import accumulation, rule
@@ -23,7 +23,7 @@ from termwise.scenes.model import Scene
 
 SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
 ADAPTIVE = "adaptive"
-NAMES = (*ECONOMIES, ADAPTIVE)
+NAMES = (*REDUCTIONS, ADAPTIVE)
 RESOLUTION = 48
 BATCHES = 4
 _REPLICATES = 8  # of a batch
@@ -42,10 +42,10 @@ _ESTIMATORS: tuple[tuple[str, str, Chain], ...] = (
 
 
 class Case(NamedTuple):
-    """An economy, and an estimator that it serves."""
+    """An reduction, and an estimator that it serves."""
 
     scene: Scene
-    economy: str
+    reduction: str
     variant: Variant
     chain: Chain
 
@@ -60,17 +60,17 @@ class Case(NamedTuple):
 def measure(
     *,
     scenes: tuple[str, ...] = (),
-    economies: tuple[str, ...] = (),
+    reductions: tuple[str, ...] = (),
     resolution: int = RESOLUTION,
     batches: int = BATCHES,
     threads: int | None = None,
     report: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> dict[str, Any]:
-    """Measure all economies; JSON values.
+    """Measure all reductions; JSON values.
 
     Parameters
     ----------
-    scenes, economies : of `SCENES` and `NAMES`; all if none.
+    scenes, reductions : of `SCENES` and `NAMES`; all if none.
     resolution : pixels of a side of the square image.
     batches : of `_REPLICATES` replicates; the median of their ratios counts.
     threads : None: one a core.
@@ -82,15 +82,15 @@ def measure(
         A name or a number that is not allowed.
     """
     known("scene", scenes, SCENES)
-    known("economy", economies, NAMES)
+    known("reduction", reductions, NAMES)
     positive(resolution=resolution, batches=batches, threads=1 if threads is None else threads)
     threads = threads or os.cpu_count() or 1
-    chosen = list(cases(scenes or SCENES, economies or NAMES, resolution))
+    chosen = list(cases(scenes or SCENES, reductions or NAMES, resolution))
     result: dict[str, Any] = {"cases": [], "machine": machine(threads)}
     result["settings"] = {"resolution": resolution, "batches": batches, "replicates": batches * _REPLICATES}
     measured = []
     for done, case in enumerate(chosen):
-        report(f"{case.scene.name}: {case.economy}", done, len(chosen))
+        report(f"{case.scene.name}: {case.reduction}", done, len(chosen))
         measured.append(_measure(case, batches, threads))
     tests = sum(statistics.tests for _, statistics in measured)
     for row, statistics in measured:
@@ -104,11 +104,11 @@ def measure(
     return result
 
 
-def cases(scenes: tuple[str, ...], economies: tuple[str, ...], resolution: int) -> Iterator[Case]:
-    """Economies with the estimators that they serve in each scene."""
+def cases(scenes: tuple[str, ...], reductions: tuple[str, ...], resolution: int) -> Iterator[Case]:
+    """Reductions with the estimators that they serve in each scene."""
     for name in scenes:
         scene = attrs.evolve(load(name), resolution=(resolution, resolution))
-        for economy in economies:
+        for reduction in reductions:
             for term, estimator, chain in _ESTIMATORS:
                 variant = find(term, estimator)
                 by_photons = needs_photons(scene, variant, chain) is not None
@@ -117,20 +117,20 @@ def cases(scenes: tuple[str, ...], economies: tuple[str, ...], resolution: int) 
                 # A chain without photons is the same by either name.
                 if term == "specular" and chain == "next-event" and not by_photons:
                     continue
-                if economy == ADAPTIVE:
+                if reduction == ADAPTIVE:
                     serves = not by_photons
                 else:
-                    serves = ECONOMIES[economy].reason(scene, variant, chain) is not None
+                    serves = REDUCTIONS[reduction].reason(scene, variant, chain) is not None
                 if serves:
-                    yield Case(scene, economy, variant, chain)
+                    yield Case(scene, reduction, variant, chain)
 
 
 def _measure(case: Case, batches: int, threads: int) -> tuple[dict[str, Any], accumulation.Statistics]:
     """A row but for its verdict, and what decides that."""
     by_photons = needs_photons(case.scene, case.variant, case.chain) is not None
     samples = _MAPS if by_photons else _SAMPLES
-    adaptive = case.economy == ADAPTIVE
-    without = () if adaptive else (case.economy,)
+    adaptive = case.reduction == ADAPTIVE
+    without = () if adaptive else (case.reduction,)
     images: tuple[list[np.ndarray], list[np.ndarray]] = [], []
     variance, seconds = np.zeros((2, batches, 2))
     with (
@@ -151,24 +151,18 @@ def _measure(case: Case, batches: int, threads: int) -> tuple[dict[str, Any], ac
                 variance[batch, side] = np.var(found[-_REPLICATES:], axis=0, ddof=1).mean()
     row: dict[str, Any] = {
         "scene": case.scene.name,
-        "economy": case.economy,
+        "reduction": case.reduction,
         "term": case.variant.term,
         "variant": case.label,
         "samples": samples,
     }
     with np.errstate(divide="ignore", invalid="ignore"):
         of_variance, of_seconds = variance[:, 0] / variance[:, 1], seconds[:, 0] / seconds[:, 1]
-    for name, ratios in (
-        ("variance", of_variance),
-        ("seconds", of_seconds),
-        ("cost", of_variance * of_seconds),
-    ):
+    for name, ratios in (("variance", of_variance), ("seconds", of_seconds), ("cost", of_variance * of_seconds)):
         row[name], row[f"{name}_low"], row[f"{name}_high"] = spread(ratios)
     return row, accumulation.measure(np.array(images[0], np.float32), np.array(images[1], np.float32))
 
 
 def _render(engine: Engine, case: Case, samples: int, replicate: int, seed: int) -> np.ndarray:
-    *_, (_, image, _) = engine.prefixes(
-        case.variant, samples=samples, seed=seed, replicate=replicate, chain=case.chain
-    )
+    *_, (_, image, _) = engine.prefixes(case.variant, samples=samples, seed=seed, replicate=replicate, chain=case.chain)
     return image

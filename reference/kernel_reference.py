@@ -1,4 +1,4 @@
-"""The twin of a photon density estimate: `color (1 - g) / π · mean over maps of E(x)`, E by a kernel or the k nearest.
+"""Reference of a photon density estimate: `color (1 - g) / π · mean over maps of E(x)`, E by a kernel or the k nearest.
 
 For `direct` x is what the camera sees; for `specular` it is a vertex of a chain, as in `terms.specular`, whose sky and
 ambient light are added.
@@ -116,11 +116,7 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
                 rng = np.random.default_rng((seed, number))
                 radius = pass_radius(kernel, (number + rng.random()) / spp) * description["scale"]
                 photons = trace(
-                    surfaces,
-                    rng,
-                    count=count,
-                    first_hits=kernel["stored"] == "all",
-                    weighted=kernel["weighted"],
+                    surfaces, rng, count=count, first_hits=kernel["stored"] == "all", weighted=kernel["weighted"]
                 )
                 seen = sights(number)
                 points = _hits(surfaces, seen.origin, seen.direction, dark)
@@ -168,11 +164,7 @@ def _sights(loaded: Any, limit: dict[str, Any], maps: int, seed: int) -> Callabl
     pixel = np.repeat(np.arange(width * height), chains)
     index = np.tile(np.arange(chains), width * height)
     count, shift = (dr.opaque(mi.UInt32, value) for value in (maps * chains, seed))
-    follow = (
-        specular.segments(loaded, limit, specular.lobes(loaded, limit))
-        if limit["term"] == "specular"
-        else None
-    )
+    follow = specular.segments(loaded, limit, specular.lobes(loaded, limit)) if limit["term"] == "specular" else None
 
     def sights(number: int) -> Sights:
         sampler = mi.load_dict({"type": "independent"})
@@ -216,9 +208,7 @@ def pass_radius(kernel: dict[str, Any], fraction: float) -> float:
     return kernel["radius"] * float(np.sqrt(np.prod((i + 2 / 3) / (i + 1))))
 
 
-def _irradiance(
-    kernel: dict[str, Any], radius: float, faces: Faces, points: Points, photons: Photons
-) -> np.ndarray:
+def _irradiance(kernel: dict[str, Any], radius: float, faces: Faces, points: Points, photons: Photons) -> np.ndarray:
     if kernel["shape"] == "nearest":
         return density.by_nearest(faces, points, photons, nearest=kernel["nearest"], scale=kernel["scale"])
     return density.by_kernel(faces, points, photons, shape=kernel["shape"], radius=radius)
@@ -242,9 +232,7 @@ def surfaces_of(scene: Any) -> Surfaces:
     return Surfaces(scene, first, faces, of_faces, survival, emitters_of(scene, faces))
 
 
-def trace(
-    surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hits: bool, weighted: bool
-) -> Photons:
+def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hits: bool, weighted: bool) -> Photons:
     """Photons that land on what is not black, of `count` that the emitters send out; power is flux / count.
 
     Parameters
@@ -360,8 +348,7 @@ def _uniform_cone(axis: np.ndarray, edge: float, rng: np.random.Generator, count
 def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray, dark: Any = None) -> Points:
     """Where rays (N, 3) meet a surface, seen from their origin; face -1 on a miss, and where it is `dark`."""
     shapes = [
-        (shape_pointer(shape), int(first))
-        for shape, first in zip(surfaces.scene.shapes(), surfaces.first, strict=True)
+        (shape_pointer(shape), int(first)) for shape, first in zip(surfaces.scene.shapes(), surfaces.first, strict=True)
     ]
 
     def intersect(origin: Any, direction: Any) -> tuple[Any, ...]:
