@@ -40,8 +40,6 @@ def judge(
         Factor on the radiance in the pictures; by default the reference's mean is shown as middle grey.
     out
         Page, numbers and images go to OUT/judge.
-    json_
-        Print the verdict as JSON on standard output.
     """
     from termwise.reports import judging
     from termwise.reports.pages import judge as page
@@ -67,12 +65,12 @@ def judge(
         print(json.dumps(outcome | {"page": str(index)}))
         return 1 if outcome["verdict"] == "BIASED" else 0
     terminal.output.print(f"[bold]{outcome['verdict']}[/bold]", highlight=False)
-    terminal.output.print(outcome["sentence"], highlight=False, soft_wrap=True)
+    terminal.say(outcome["sentence"])
     for reason in outcome["reasons"]:
-        terminal.output.print(f"- {reason}", highlight=False, soft_wrap=True)
+        terminal.say(f"- {reason}")
     for size in outcome["tiles"]:
-        terminal.output.print(_of_tiles(size), highlight=False, soft_wrap=True)
-    terminal.output.print(f"\nReport: {index.resolve()}", highlight=False, soft_wrap=True)
+        terminal.say(_of_tiles(size))
+    terminal.say(f"\nReport: {index.resolve()}")
     return 1 if outcome["verdict"] == "BIASED" else 0
 
 

@@ -1,17 +1,21 @@
 """Benchmarks and the stress lab: bench rays, terms, scaling, reductions, view; stress."""
 
+import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from rich.table import Table
+from cyclopts import Parameter
 
 from termwise.reports import progress
 from termwise.reports.cli import terminal
-from termwise.reports.cli.terminal import Integer, Json, MaybeInteger, Names, Quiet
-from termwise.reports.progress import Report
+from termwise.reports.cli.terminal import Integer, Json, MaybeInteger, Names, Quiet, Threads
 from termwise.scenes.store import write_atomically
+
+Scenes = Annotated[Names, Parameter(help="two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.")]
+Side = Annotated[Integer, Parameter(help="Pixels of a side of the square image.")]
+Out = Annotated[Path, Parameter(help="The numbers go to OUT/bench, into a file of the command's name.")]
 
 
 def rays(
@@ -19,8 +23,8 @@ def rays(
     mesh: Names = None,
     pairs: Integer = 7,
     count: Integer = 2**19,
-    threads: MaybeInteger = None,
-    out: Path = Path("out"),
+    threads: Threads = None,
+    out: Out = Path("out"),
     quiet: Quiet = False,
     json_: Json = False,
 ) -> int:
@@ -34,43 +38,27 @@ def rays(
         Pairs of runs a case; the ratio is their median.
     count
         Rays of a case, about.
-    threads
-        Threads of each side; one per core if not given.
-    out
-        The numbers go to OUT/bench/rays.json.
-    quiet
-        No progress on standard error.
-    json_
-        Print them on standard output.
     """
-    from termwise.reports.bench import rays as bench_rays
+    from termwise.reports.bench import rays as bench
 
-    measured = _benchmark(
-        out,
-        "rays",
-        lambda report: bench_rays.measure(
-            threads=threads, pairs=pairs, count=count, only=tuple(mesh or ()), report=report
-        ),
-        quiet=quiet,
-        json_=json_,
-    )
+    run = functools.partial(bench.measure, threads=threads, pairs=pairs, count=count, only=tuple(mesh or ()))
+    measured = _benchmark(out, "rays", run, quiet=quiet, json_=json_)
     if json_:
         return 0
-    columns = ("mesh", "triangles", "rays", "ours", "Mitsuba", "ratio", "spread", "by CPU", "default")
-    table = terminal.table(*columns)
-    for case in measured["cases"]:
-        table.add_row(
-            case["mesh"],
-            str(case["triangles"]),
-            case["kind"],
-            f"{case['ours_mrays']:.1f}",
-            f"{case['mitsuba_mrays']:.1f}",
-            f"{case['ratio']:.2f}",
-            f"{case['ratio_low']:.2f}-{case['ratio_high']:.2f}",
-            f"{case['ratio_processor']:.2f}",
-            f"{case['ratio_default']:.2f}",
-        )
-    terminal.output.print(table)
+    _print_cases(
+        measured["cases"],
+        {
+            "mesh": "{mesh}",
+            "triangles": "{triangles}",
+            "rays": "{kind}",
+            "ours": "{ours_mrays:.1f}",
+            "Mitsuba": "{mitsuba_mrays:.1f}",
+            "ratio": "{ratio:.2f}",
+            "spread": "{ratio_low:.2f}-{ratio_high:.2f}",
+            "by CPU": "{ratio_processor:.2f}",
+            "default": "{ratio_default:.2f}",
+        },
+    )
     terminal.output.print(
         "Millions of rays a second; the ratio is the median of pairs with Mitsuba's robust flag, then the same by "
         "processor time, then with its default flags.",
@@ -86,13 +74,13 @@ def rays(
 
 def terms(
     *,
-    scene: Names = None,
+    scene: Scenes = None,
     term: Names = None,
-    resolution: Integer = 128,
+    resolution: Side = 128,
     runs: Integer = 5,
     seconds: float = 0.5,
-    threads: MaybeInteger = None,
-    out: Path = Path("out"),
+    threads: Threads = None,
+    out: Out = Path("out"),
     quiet: Quiet = False,
     json_: Json = False,
 ) -> int:
@@ -100,60 +88,35 @@ def terms(
 
     Parameters
     ----------
-    scene
-        two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
     term
         ambient, direct, specular; all if none.
-    resolution
-        Pixels of a side of the square image.
     runs
         Alternating runs of each side; the speed-up is their median.
     seconds
         What the longest run of a setting may take, about.
-    threads
-        Threads of each side; one per core if not given.
-    out
-        The numbers go to OUT/bench/terms.json.
-    quiet
-        No progress on standard error.
-    json_
-        Print them on standard output.
     """
     from termwise.reports.bench import equal_error
 
-    measured = _benchmark(
-        out,
-        "terms",
-        lambda report: equal_error.measure(
-            scenes=tuple(scene or ()),
-            terms=tuple(term or ()),
-            resolution=resolution,
-            runs=runs,
-            seconds=seconds,
-            threads=threads,
-            report=report,
-        ),
-        quiet=quiet,
-        json_=json_,
-    )
+    run = functools.partial(equal_error.measure, scenes=tuple(scene or ()), terms=tuple(term or ()))
+    run = functools.partial(run, resolution=resolution, runs=runs, seconds=seconds, threads=threads)
+    measured = _benchmark(out, "terms", run, quiet=quiet, json_=json_)
     if json_:
         return 0
-    for name in dict.fromkeys(case["scene"] for case in measured["cases"]):
-        columns = ("term", "variant", "RMSE", "ours", "Mitsuba", "times", "spread", "its setting")
-        table = terminal.table(*columns, title=name)
-        for case in measured["cases"]:
-            if case["scene"] == name:
-                table.add_row(
-                    case["term"] if case["term"] != "direct" else f"direct {case['scope']}",
-                    case["variant"],
-                    f"{case['target_rmse']:.2g}",
-                    f"{case['ours_s']:.3f}",
-                    f"{case['mitsuba_s']:.3f}",
-                    f"{case['speedup']:.2f}",
-                    f"{case['speedup_low']:.2f}-{case['speedup_high']:.2f}",
-                    case["mitsuba_setting"],
-                )
-        terminal.output.print(table)
+    for case in measured["cases"]:
+        case["of"] = case["term"] if case["term"] != "direct" else f"direct {case['scope']}"
+    _print_scenes(
+        measured["cases"],
+        {
+            "term": "{of}",
+            "variant": "{variant}",
+            "RMSE": "{target_rmse:.2g}",
+            "ours": "{ours_s:.3f}",
+            "Mitsuba": "{mitsuba_s:.3f}",
+            "times": "{speedup:.2f}",
+            "spread": "{speedup_low:.2f}-{speedup_high:.2f}",
+            "its setting": "{mitsuba_setting}",
+        },
+    )
     for case in measured["apart"]:
         terminal.output.print(f"{case['scene']}, {case['term']} {case['variant']}: no error that both sides reach")
     terminal.output.print(
@@ -170,7 +133,7 @@ def scaling(
     axis: Names = None,
     runs: Integer = 5,
     threads: MaybeInteger = None,
-    out: Path = Path("out"),
+    out: Out = Path("out"),
     quiet: Quiet = False,
     json_: Json = False,
 ) -> int:
@@ -184,36 +147,27 @@ def scaling(
         Rounds; their median counts.
     threads
         The most threads; one per core if not given.
-    out
-        The numbers go to OUT/bench/scaling.json.
-    quiet
-        No progress on standard error.
-    json_
-        Print them on standard output.
     """
-    from termwise.reports.bench import scaling as bench_scaling
+    from termwise.reports.bench import scaling as bench
 
-    measured = _benchmark(
-        out,
-        "scaling",
-        lambda report: bench_scaling.measure(axes=tuple(axis or ()), runs=runs, threads=threads, report=report),
-        quiet=quiet,
-        json_=json_,
-    )
+    run = functools.partial(bench.measure, axes=tuple(axis or ()), runs=runs, threads=threads)
+    measured = _benchmark(out, "scaling", run, quiet=quiet, json_=json_)
     if json_:
         return 0
-    table = terminal.table("axis", "value", "seconds", "spread", "ns each", "MB")
     for case in measured["cases"]:
         processes = case.get("processes", 1)
-        table.add_row(
-            case["axis"],
-            f"{case['value']}" if processes == 1 else f"{processes} processes",
-            f"{case['seconds']:.4f}",
-            f"{case['seconds_low']:.4f}-{case['seconds_high']:.4f}",
-            f"{case['per_unit_ns']:.0f} / {case['unit']}",
-            f"{case['memory_mb']:.0f}",
-        )
-    terminal.output.print(table)
+        case["at"] = f"{case['value']}" if processes == 1 else f"{processes} processes"
+    _print_cases(
+        measured["cases"],
+        {
+            "axis": "{axis}",
+            "value": "{at}",
+            "seconds": "{seconds:.4f}",
+            "spread": "{seconds_low:.4f}-{seconds_high:.4f}",
+            "ns each": "{per_unit_ns:.0f} / {unit}",
+            "MB": "{memory_mb:.0f}",
+        },
+    )
     for case in measured["cases"]:
         if "of_processes" in case:
             terminal.output.print(
@@ -226,12 +180,12 @@ def scaling(
 
 def reductions(
     *,
-    scene: Names = None,
+    scene: Scenes = None,
     reduction: Names = None,
-    resolution: Integer = 48,
+    resolution: Side = 48,
     batches: Integer = 4,
-    threads: MaybeInteger = None,
-    out: Path = Path("out"),
+    threads: Threads = None,
+    out: Out = Path("out"),
     quiet: Quiet = False,
     json_: Json = False,
 ) -> int:
@@ -239,58 +193,32 @@ def reductions(
 
     Parameters
     ----------
-    scene
-        two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
     reduction
         aimed, lights, splitting, roulette, adaptive; all if none.
-    resolution
-        Pixels of a side of the square image.
     batches
         Of 8 replicates each way; the median of their ratios counts.
-    threads
-        Threads; one per core if not given.
-    out
-        The numbers go to OUT/bench/reductions.json.
-    quiet
-        No progress on standard error.
-    json_
-        Print them on standard output.
     """
-    from termwise.reports.bench import reductions as of_reductions
+    from termwise.reports.bench import reductions as bench
 
-    measured = _benchmark(
-        out,
-        "reductions",
-        lambda report: of_reductions.measure(
-            scenes=tuple(scene or ()),
-            reductions=tuple(reduction or ()),
-            resolution=resolution,
-            batches=batches,
-            threads=threads,
-            report=report,
-        ),
-        quiet=quiet,
-        json_=json_,
-    )
+    run = functools.partial(bench.measure, scenes=tuple(scene or ()), reductions=tuple(reduction or ()))
+    run = functools.partial(run, resolution=resolution, batches=batches, threads=threads)
+    measured = _benchmark(out, "reductions", run, quiet=quiet, json_=json_)
     failed = [case for case in measured["cases"] if case["verdict"] in terminal.PROVEN]
     if json_:
         return 1 if failed else 0
-    for name in dict.fromkeys(case["scene"] for case in measured["cases"]):
-        columns = ("reduction", "term", "variant", "variance", "seconds", "cost", "spread", "verdict")
-        table = terminal.table(*columns, title=name)
-        for case in measured["cases"]:
-            if case["scene"] == name:
-                table.add_row(
-                    case["reduction"],
-                    case["term"],
-                    case["variant"],
-                    f"{case['variance']:.2f}",
-                    f"{case['seconds']:.2f}",
-                    f"{case['cost']:.2f}",
-                    f"{case['cost_low']:.2f}-{case['cost_high']:.2f}",
-                    case["verdict"],
-                )
-        terminal.output.print(table)
+    _print_scenes(
+        measured["cases"],
+        {
+            "reduction": "{reduction}",
+            "term": "{term}",
+            "variant": "{variant}",
+            "variance": "{variance:.2f}",
+            "seconds": "{seconds:.2f}",
+            "cost": "{cost:.2f}",
+            "spread": "{cost_low:.2f}-{cost_high:.2f}",
+            "verdict": "{verdict}",
+        },
+    )
     terminal.output.print(
         "With the reduction over without it: variance, processor seconds, and their product, which is what equal error "
         "costs; below 1 is a gain. The verdict compares the means.",
@@ -302,12 +230,12 @@ def reductions(
 
 def bench_view(
     *,
-    scene: Names = None,
+    scene: Scenes = None,
     changes: Integer = 30,
     memory_changes: Integer = 1000,
-    resolution: Integer = 256,
-    threads: MaybeInteger = None,
-    out: Path = Path("out"),
+    resolution: Side = 256,
+    threads: Threads = None,
+    out: Out = Path("out"),
     quiet: Quiet = False,
     json_: Json = False,
 ) -> int:
@@ -315,53 +243,29 @@ def bench_view(
 
     Parameters
     ----------
-    scene
-        two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.
     changes
         Of each input; their median counts.
     memory_changes
         Changes of all inputs in turn, over which memory is measured.
-    resolution
-        Pixels of a side of the square image.
-    threads
-        Threads; one per core if not given.
-    out
-        The numbers go to OUT/bench/view.json.
-    quiet
-        No progress on standard error.
-    json_
-        Print them on standard output.
     """
-    from termwise.reports.bench import view as of_view
+    from termwise.reports.bench import view as bench
 
-    measured = _benchmark(
-        out,
-        "view",
-        lambda report: of_view.measure(
-            scenes=tuple(scene or ()),
-            changes=changes,
-            memory_changes=memory_changes,
-            resolution=resolution,
-            threads=threads,
-            report=report,
-        ),
-        quiet=quiet,
-        json_=json_,
-    )
+    run = functools.partial(bench.measure, scenes=tuple(scene or ()), changes=changes, memory_changes=memory_changes)
+    run = functools.partial(run, resolution=resolution, threads=threads)
+    measured = _benchmark(out, "view", run, quiet=quiet, json_=json_)
     if json_:
         return 0
-    columns = ("scene", "input", "seconds", "spread", "processor", "previews")
-    table = terminal.table(*columns)
-    for case in measured["cases"]:
-        table.add_row(
-            case["scene"],
-            case["input"],
-            f"{case['seconds']:.3f}",
-            f"{case['seconds_low']:.3f}-{case['seconds_high']:.3f}",
-            f"{case['processor']:.3f}",
-            f"{case['previews']} of {case['changes']}",
-        )
-    terminal.output.print(table)
+    _print_cases(
+        measured["cases"],
+        {
+            "scene": "{scene}",
+            "input": "{input}",
+            "seconds": "{seconds:.3f}",
+            "spread": "{seconds_low:.3f}-{seconds_high:.3f}",
+            "processor": "{processor:.3f}",
+            "previews": "{previews} of {changes}",
+        },
+    )
     memory = measured["memory"]
     said = " and ".join(
         f"{megabytes:.0f} MB after {count}"
@@ -398,22 +302,12 @@ def stress(
         Rays or samples of a row, about.
     out
         The numbers go to OUT/stress/stress.json, the page beside it.
-    quiet
-        No progress on standard error.
-    json_
-        Print them on standard output.
     """
     from termwise.reports import stress as lab
     from termwise.reports.pages import stress as page
 
-    measured = _measured(
-        out / "stress",
-        "stress",
-        lambda report: lab.measure(groups=tuple(group or ()), case=case, count=count, report=report),
-        page.write,
-        quiet=quiet,
-        json_=json_,
-    )
+    run = functools.partial(lab.measure, groups=tuple(group or ()), case=case, count=count)
+    measured = _measured(out / "stress", "stress", run, page.write, quiet=quiet, json_=json_)
     if not json_:
         _print_stress(measured)
     return 1 if measured["failed"] else 0
@@ -422,8 +316,7 @@ def stress(
 def _print_stress(measured: dict[str, Any]) -> None:
     shown = lambda value: "-" if value is None else f"{value:.3g}"  # noqa: E731
     for group in dict.fromkeys(case["group"] for case in measured["cases"]):
-        title = f"\n[bold]{group}"
-        table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
+        table = terminal.table(title=group)
         for name in ("row", "ours", "paper", "Mitsuba", "limit", ""):
             table.add_column(name, justify="left" if name in ("row", "") else "right")
         for case in measured["cases"]:
@@ -435,16 +328,28 @@ def _print_stress(measured: dict[str, Any]) -> None:
     for case in measured["cases"]:
         if not case["passed"]:
             why = case["faults"].get("ours", f"{case['figure']}: {shown(case['ours'])} > {shown(case['limit'])}")
-            terminal.output.print(
-                f"{case['group']}: {case['name']}: {why}", highlight=False, soft_wrap=True, markup=False
-            )
+            terminal.say(f"{case['group']}: {case['name']}: {why}", markup=False)
     terminal.output.print(
         f"{len(measured['cases'])} rows in {measured['seconds']:.0f} s, {measured['failed']} failed", highlight=False
     )
 
 
+def _print_cases(cases: list[dict[str, Any]], columns: dict[str, str], title: str | None = None) -> None:
+    """Print a row for each case: the columns' headings, and how they write a case."""
+    table = terminal.table(*columns, title=title)
+    for case in cases:
+        table.add_row(*(form.format_map(case) for form in columns.values()))
+    terminal.output.print(table)
+
+
+def _print_scenes(cases: list[dict[str, Any]], columns: dict[str, str]) -> None:
+    """Print a table for each scene."""
+    for name in dict.fromkeys(case["scene"] for case in cases):
+        _print_cases([case for case in cases if case["scene"] == name], columns, name)
+
+
 def _benchmark(
-    out: Path, name: str, measure: Callable[[Report], dict[str, Any]], *, quiet: bool, json_: bool
+    out: Path, name: str, measure: Callable[..., dict[str, Any]], *, quiet: bool, json_: bool
 ) -> dict[str, Any]:
     """Measure one benchmark of OUT/bench."""
     from termwise.reports.pages import bench as page
@@ -455,7 +360,7 @@ def _benchmark(
 def _measured(
     folder: Path,
     name: str,
-    measure: Callable[[Report], dict[str, Any]],
+    measure: Callable[..., dict[str, Any]],
     write: Callable[[Path], Path],
     *,
     quiet: bool,
@@ -464,7 +369,7 @@ def _measured(
     """Measure and show the progress; the numbers go to the folder with the command, and onto its page."""
     terminal.folder(folder)
     with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
-        measured = measure(stage(name.capitalize()))
+        measured = measure(report=stage(name.capitalize()))
     measured["command"] = terminal.command()
     text = json.dumps(measured, indent=1)
     write_atomically(folder / f"{name}.json", lambda path: path.write_text(text, "utf-8"))

@@ -45,8 +45,6 @@ def inspect(
         Open the pixel of this column; needs Y.
     y
         Its row.
-    json_
-        Print the branch as JSON on standard output.
     """
     from termwise.reports.results import microscope
     from termwise.reports.run import plain
@@ -74,7 +72,7 @@ def inspect(
         return 0
     _print_branch(rows, found)
     if command is not None:
-        terminal.output.print(command, highlight=False, soft_wrap=True, markup=False)
+        terminal.say(command, markup=False)
     return 0
 
 
@@ -160,8 +158,6 @@ def replay(
         Instead of the study's.
     results
         Folder of a run: the value is held against the one stored there. Exit status 1 where they differ.
-    json_
-        Print all samples as JSON on standard output.
     """
     from termwise.renderer.replay import replay as replayed
     from termwise.renderer.terms import find
@@ -222,7 +218,7 @@ def replay(
         _print_replay(found)
         if same is not None:
             word = "equal to the bit" if same else f"NOT equal: {_numbers(stored)}; other sources, seed or samples?"
-            terminal.output.print(f"stored in {results}: {word}", highlight=False, soft_wrap=True)
+            terminal.say(f"stored in {results}: {word}")
     if found.astray:
         terminal.messages.print(
             f"termwise: the trace of samples {', '.join(map(str, found.astray))} took another way than the kernel",
@@ -238,15 +234,11 @@ def _print_replay(found: Any) -> None:
         for event in sample.events:
             rest = {name: value for name, value in event.items() if name not in ("event", "gathered")}
             line = "  ".join(f"{name} {'-' if value is None else _numbers(value)}" for name, value in rest.items())
-            terminal.output.print(f"  {event['event']}: {line}", highlight=False, soft_wrap=True, markup=False)
-        terminal.output.print(
-            f"  radiance {_numbers(sample.radiance)}  (trace: {sample.ulp:.2g} ulp apart)",
-            highlight=False,
-            soft_wrap=True,
-        )
+            terminal.say(f"  {event['event']}: {line}", markup=False)
+        terminal.say(f"  radiance {_numbers(sample.radiance)}  (trace: {sample.ulp:.2g} ulp apart)")
     if found.skipped is not None:
-        terminal.output.print(f"no sample: {found.skipped}", highlight=False, soft_wrap=True)
-    terminal.output.print(f"pixel {_numbers(found.value)}", highlight=False, soft_wrap=True)
+        terminal.say(f"no sample: {found.skipped}")
+    terminal.say(f"pixel {_numbers(found.value)}")
 
 
 def _numbers(values: Any) -> str:

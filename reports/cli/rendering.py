@@ -9,20 +9,31 @@ from rich.table import Table
 
 from termwise.reports import progress
 from termwise.reports.cli import terminal
-from termwise.reports.cli.terminal import Flag, Integer, Json, MaybeInteger, Quiet, Resolution
+from termwise.reports.cli.terminal import (
+    Backend,
+    Flag,
+    Integer,
+    Json,
+    MaybeInteger,
+    Quiet,
+    Resolution,
+    SceneName,
+    TermName,
+    Threads,
+)
 from termwise.scenes.load import library, load
 from termwise.scenes.terms import TERMS
 
 
 def render(
-    scene: str,
+    scene: SceneName,
     *,
-    term: str | None = None,
+    term: TermName = None,
     variant: list[str] | None = None,
     samples: Integer = 16,
     replicates: Integer = 1,
     seed: Integer = 0,
-    threads: MaybeInteger = None,
+    threads: Threads = None,
     resolution: Resolution = None,
     adaptive: bool = False,
     out: Path = Path("out"),
@@ -33,10 +44,6 @@ def render(
 
     Parameters
     ----------
-    scene
-        A name of the library or the path of a scene file.
-    term
-        ambient, direct, specular or background; without it all of them and their sum.
     variant
         An estimator of the term, its default if not given. Without --term: TERM=NAME, once for each term.
     samples
@@ -45,19 +52,11 @@ def render(
         Independent repetitions that are averaged; two or more give a variance.
     seed
         Equal seeds give equal bits.
-    threads
-        One per core if not given.
-    resolution
-        Width and height, instead of the scene's.
     adaptive
         Give noisier tiles more samples, as a discarded pilot of 8 says; SAMPLES is then the mean. For estimators
         without photon maps; it pays from about 100 samples on.
     out
         Files go to OUT/render.
-    quiet
-        No progress on standard error.
-    json_
-        Print what was rendered as JSON on standard output.
     """
     from termwise import renderer
 
@@ -102,9 +101,9 @@ def _variants(terms: tuple[str, ...], given: list[str]) -> dict[str, str | None]
 
 
 def reference(
-    scene: str,
+    scene: SceneName,
     *,
-    term: str | None = None,
+    term: TermName = None,
     physical: Flag = False,
     spp: Integer = 64,
     replicates: Integer = 4,
@@ -112,7 +111,7 @@ def reference(
     resolution: Resolution = None,
     export: Path | None = None,
     out: Path = Path("out"),
-    backend: str | None = None,
+    backend: Backend = None,
     quiet: Quiet = False,
     json_: Json = False,
 ) -> int:
@@ -120,10 +119,6 @@ def reference(
 
     Parameters
     ----------
-    scene
-        A name of the library or the path of a scene file.
-    term
-        ambient, direct, specular or background; without it all of them and their sum.
     physical
         Full light transport, split by the lobe at the camera, instead of the paper's terms.
     spp
@@ -132,18 +127,10 @@ def reference(
         Independent repetitions that are averaged.
     seed
         Equal seeds give equal bits on one backend.
-    resolution
-        Width and height, instead of the scene's.
     export
         Folder for a stand-alone Mitsuba script of these references; nothing is rendered.
     out
         Files go to OUT/reference.
-    backend
-        Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb.
-    quiet
-        No progress on standard error.
-    json_
-        Print what was rendered as JSON on standard output.
     """
     from termwise import reference as mitsuba
     from termwise.scenes import limits
@@ -168,9 +155,9 @@ def reference(
         if json_:
             print(json.dumps({"scene": described.name, "script": str(script)}))
         else:
-            terminal.output.print(f"Wrote {script}", soft_wrap=True, highlight=False)
+            terminal.say(f"Wrote {script}")
             if llvm:
-                terminal.output.print(f"Run it with DRJIT_LIBLLVM_PATH={llvm}", soft_wrap=True, highlight=False)
+                terminal.say(f"Run it with DRJIT_LIBLLVM_PATH={llvm}")
         return 0
     folder = terminal.folder(out / "reference")
     found = {}
@@ -206,23 +193,17 @@ def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dic
     for term, row in rows.items():
         table.add_row(term, "  ".join(f"{x:.6f}" for x in row["mean"]), f"{row['seconds']:.2f}")
     terminal.output.print(table)
-    terminal.output.print(f"{exr}\n{png}", soft_wrap=True, highlight=False)
+    terminal.say(f"{exr}\n{png}")
     return 0
 
 
-def plan(scene: str, *, samples: Integer = 16, resolution: Resolution = None, json_: Json = False) -> int:
+def plan(scene: SceneName, *, samples: Integer = 16, resolution: Resolution = None, json_: Json = False) -> int:
     """Say what a scene needs: what runs, what is skipped, why, and how much work that saves.
 
     Parameters
     ----------
-    scene
-        A name of the library or the path of a scene file.
     samples
         Samples per pixel, for the counts of work.
-    resolution
-        Width and height, instead of the scene's.
-    json_
-        Print the plan as JSON on standard output.
     """
     from termwise.renderer.plan import plan as steps_of
     from termwise.renderer.terms import find
@@ -254,13 +235,7 @@ def plan(scene: str, *, samples: Integer = 16, resolution: Resolution = None, js
 
 
 def scenes(*, json_: Json = False) -> int:
-    """List the scenes of the library.
-
-    Parameters
-    ----------
-    json_
-        Print the list as JSON on standard output.
-    """
+    """List the scenes of the library."""
     rows = []
     for name in library():
         scene = load(name)
@@ -279,13 +254,13 @@ def scenes(*, json_: Json = False) -> int:
     return 0
 
 
-def view(scene: str = "two_cubes", *, port: MaybeInteger = None, browser: bool = True, out: Path = Path("out")) -> int:
+def view(
+    scene: SceneName = "two_cubes", *, port: MaybeInteger = None, browser: bool = True, out: Path = Path("out")
+) -> int:
     """Open a local page on which every input is set and each term is watched while it converges.
 
     Parameters
     ----------
-    scene
-        A name of the library or the path of a scene file.
     port
         Of 127.0.0.1; a free one if not given.
     browser

@@ -1,6 +1,5 @@
 """Studies and what is made of them: compare, diff and figure."""
 
-import functools
 import json
 import re
 import runpy
@@ -12,7 +11,7 @@ from cyclopts import Parameter
 
 from termwise.reports import progress
 from termwise.reports.cli import terminal
-from termwise.reports.cli.terminal import Flag, Json, MaybeInteger, Quiet
+from termwise.reports.cli.terminal import Backend, Flag, Json, MaybeInteger, Quiet
 from termwise.scenes.strict import FileError
 
 
@@ -32,7 +31,7 @@ def compare(
     seed: MaybeInteger = None,
     estimators: Path | None = None,
     out: Path = Path("out"),
-    backend: str | None = None,
+    backend: Backend = None,
     quiet: Quiet = False,
     single_file: Flag = False,
     json_: Json = False,
@@ -54,14 +53,8 @@ def compare(
         A Python file that calls `termwise.register`: what it registers is measured too.
     out
         The report goes to OUT/compare, or to the folder that the study names.
-    backend
-        Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given.
-    quiet
-        No progress on standard error.
     single_file
         Write report.html too: all pages in one file, to mail.
-    json_
-        Print results.json on standard output; no progress.
     """
     from termwise.reports import run
     from termwise.reports.pages import report as page
@@ -163,7 +156,7 @@ def _print_results(results: dict[str, Any]) -> None:
     for row in judged:
         if row["verdict"] in terminal.PROVEN or (row["verdict"] == "UNDERPOWERED" and not row.get("group")):
             where = f"{row['scene']}: {row['term']} {row['variant']}"
-            terminal.output.print(f"{where}: {row['sentence']}", highlight=False, soft_wrap=True)
+            terminal.say(f"{where}: {row['sentence']}")
 
 
 def _print_certified(certified: dict[str, Any]) -> None:
@@ -177,7 +170,7 @@ def _print_certified(certified: dict[str, Any]) -> None:
     if certified["budget"] is not None:
         looks = ", ".join(map(str, certified["looks"]))
         text += f" Budget {certified['budget']:g} s: {certified['spent']:.1f} s spent, looks at K = {looks}."
-    terminal.output.print(f"\n{text}", highlight=False, soft_wrap=True)
+    terminal.say(f"\n{text}")
 
 
 def diff(run_a: Path, run_b: Path, *, out: Path = Path("out"), json_: Json = False) -> int:
@@ -191,8 +184,6 @@ def diff(run_a: Path, run_b: Path, *, out: Path = Path("out"), json_: Json = Fal
         Another: what is now.
     out
         The page goes to OUT/diff.
-    json_
-        Print the differences as JSON on standard output.
     """
     from termwise.reports.pages import diff as page
     from termwise.reports.results import schema as stored
@@ -217,7 +208,7 @@ _FINDINGS = {"worse": "red", "better": "green", "changed": "yellow"}
 
 def _print_diff(found: dict[str, Any]) -> None:
     """Differences of settings, then what is proven, then every row."""
-    say = functools.partial(terminal.output.print, highlight=False, soft_wrap=True)
+    say = terminal.say
     for each in found["settings"]:
         say(f"{each['name']}: {_plain(each['before'])} -> {_plain(each['after'])}", markup=False)
     if not found["settings"]:
@@ -292,5 +283,5 @@ def figure(
     from termwise.reports.results import schema as stored
 
     figures.write(stored.read(run), scene=scene, term=term, kind=kind, path=out)
-    terminal.output.print(str(out), soft_wrap=True, highlight=False)
+    terminal.say(str(out))
     return 0

@@ -26,10 +26,23 @@ def _integer(_kind: Any, tokens: Any) -> int:
 
 
 _whole = Parameter(converter=_integer, n_tokens=1)
+_whole_threads = Parameter(
+    converter=_integer, n_tokens=1, help="Threads, of each side where two are timed; one per core if not given."
+)
 Integer = Annotated[int, _whole]
 MaybeInteger = Annotated[int | None, _whole]
+Threads = Annotated[int | None, _whole_threads]
 Names = Annotated[list[str] | None, Parameter(consume_multiple=True)]
-Resolution = tuple[int, int] | None
+SceneName = Annotated[str, Parameter(help="A name of the library or the path of a scene file.")]
+TermName = Annotated[
+    str | None, Parameter(help="ambient, direct, specular or background; without it all of them and their sum.")
+]
+Size = tuple[int, int] | None
+Resolution = Annotated[Size, Parameter(help="Width and height, instead of the scene's.")]
+Backend = Annotated[
+    str | None,
+    Parameter(help="Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given."),
+]
 Flag = Annotated[bool, Parameter(negative="")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="One JSON object on standard output.")]
 Quiet = Annotated[bool, Parameter(negative="", help="No progress on standard error.")]
@@ -38,12 +51,17 @@ PROVEN = ("BIASED", "NOT AS PREDICTED", "NO VERDICT")
 COLOURS = {"EQUIVALENT": "green", "AS PREDICTED": "green"} | dict.fromkeys(PROVEN, "red")
 
 
+def say(text: str, *, markup: bool = True) -> None:
+    """Print a sentence of the results as it stands: the terminal breaks it."""
+    output.print(text, highlight=False, soft_wrap=True, markup=markup)
+
+
 def fail(message: str) -> None:
     """Say what went wrong in one line."""
     print(f"termwise: {' '.join(message.split())}", file=sys.stderr)
 
 
-def scene(name: str, resolution: Resolution) -> Scene:
+def scene(name: str, resolution: Size) -> Scene:
     """A scene of the library or of a file, of another size if one is given."""
     found = load(name)
     return found if resolution is None else attrs.evolve(found, resolution=resolution)
