@@ -12,7 +12,6 @@ is drawn and weighted, and hence in what they converge to:
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,12 +21,11 @@ from termwise.renderer.film import most_of, next_hits, no_hits, resolve_occlusio
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sees_all_ambient, whole_color
-from termwise.renderer.photon_map import PhotonMap
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sobol import Sampler, sample_2d
 from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
 from termwise.renderer.terms.estimator import Compiled
-from termwise.renderer.terms.variant import Chain, Variant
+from termwise.renderer.terms.variant import Variant
 from termwise.renderer.vector import Vec3, column, frame, is_black, mul, put, put_column, scale, to_world, vec3
 from termwise.renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
 from termwise.scenes.limits import Limit
@@ -149,10 +147,6 @@ def _occlusion(
                 asking = 0
 
 
-def _inputs(rule: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:
-    return lambda scene, chain, photons: (rule,)
-
-
 def _limit(scene: Scene, *, factor: float = 1.0, rings: int | None = None) -> Limit:
     """What an estimator becomes where ambient occlusion is off: L_a0 without a ray, in all variants (paper)."""
     if not scene.toggles.ambient_occlusion:
@@ -160,13 +154,21 @@ def _limit(scene: Scene, *, factor: float = 1.0, rings: int | None = None) -> Li
     return Limit("ambient", occluded=scene.toggles.ambient_occlusion, factor=factor, rings=rings, shadows=scene.shadows)
 
 
-VARIANTS = (
-    Variant(
-        name="cosine",
+def _variant(name: str, rule: int, **fields: Any) -> Variant:
+    return Variant(
+        name=name,
         term="ambient",
         estimator=Compiled(_occlusion),
+        inputs=lambda scene, chain, photons: (rule,),
         split=lambda scene: SPLIT,
-        inputs=_inputs(COSINE),
+        **fields,
+    )
+
+
+VARIANTS = (
+    _variant(
+        "cosine",
+        COSINE,
         limit=lambda scene, samples: _limit(scene),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \mathrm{hit}(\omega_k)\, L_{a0}, \quad \omega_k \sim \frac{\cos\theta}{\pi}",
@@ -175,24 +177,18 @@ VARIANTS = (
         measured=True,
         open_is_one=True,
     ),
-    Variant(
-        name="uniform",
-        term="ambient",
-        estimator=Compiled(_occlusion),
-        split=lambda scene: SPLIT,
-        inputs=_inputs(UNIFORM),
+    _variant(
+        "uniform",
+        UNIFORM,
         limit=lambda scene, samples: _limit(scene),
         kind="right",
         equation=r"\frac{2}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k - 1 + U}{N}",
         converges_to=r"\mathrm{AO} \cdot L_{a0}",
         source="the paper's sampling with the factor that its integral lacks",
     ),
-    Variant(
-        name="paper",
-        term="ambient",
-        estimator=Compiled(_occlusion),
-        split=lambda scene: SPLIT,
-        inputs=_inputs(PAPER),
+    _variant(
+        "paper",
+        PAPER,
         limit=lambda scene, samples: _limit(scene, factor=math.pi),
         kind="wrong",
         equation=r"\frac{2\pi}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k - 1 + U}{N}",
@@ -201,24 +197,18 @@ VARIANTS = (
         measured=True,
         ratio=lambda scene: math.pi if scene.toggles.ambient_occlusion else 1.0,
     ),
-    Variant(
-        name="paper-loop",
-        term="ambient",
-        estimator=Compiled(_occlusion),
-        split=lambda scene: SPLIT,
-        inputs=_inputs(PAPER_LOOP),
+    _variant(
+        "paper-loop",
+        PAPER_LOOP,
         limit=lambda scene, samples: _limit(scene, factor=0.5, rings=scene.rings),
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \mu_k\, \mathrm{hit}(\omega_k)\, L_{a0}, \quad \mu_k = \frac{k}{N + 1}",
         converges_to=r"\frac{1}{2} \mathrm{AO} \cdot L_{a0} + O(1/N)",
         source="the loop of the paper's code: fixed rings, divided by N alone",
     ),
-    Variant(
-        name="constant",
-        term="ambient",
-        estimator=Compiled(_occlusion),
-        split=lambda scene: SPLIT,
-        inputs=_inputs(CONSTANT),
+    _variant(
+        "constant",
+        CONSTANT,
         limit=lambda scene, samples: Limit("ambient", occluded=False, shadows=scene.shadows),
         kind="wrong",
         equation=r"L_{a0}",

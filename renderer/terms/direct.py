@@ -5,7 +5,7 @@ diffusely with albedo color (1 - gloss), any number of times. `first-hit` means 
 """
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -243,24 +243,38 @@ def _of_radius(scene: Scene, samples: int, stored: Literal["scattered", "all"]) 
     return Kernel(shape=photons.kernel, stored=stored, radius=photons.radius, passes=samples)
 
 
-def _of_nearest(*, unbiased: bool = False, weighted: bool = True) -> Callable[[Scene, int], Kernel]:
+def _variant(name: str, driver: Callable[..., None], **fields: Any) -> Variant:
+    return Variant(name=name, term="direct", estimator=Compiled(driver), **fields)
+
+
+def _by_nearest(name: str, *, unbiased: bool = False, weighted: bool = True, **fields: Any) -> Variant:
     """The mean over maps, and over the sub-pixel positions of the camera's rays, of a search for k photons."""
 
+    def factor(scene: Scene) -> float:
+        return (scene.photons.nearest - 1) / scene.photons.nearest if unbiased else 1.0
+
     def estimate(scene: Scene, samples: int) -> Kernel:
-        k = scene.photons.nearest
-        factor = (k - 1) / k if unbiased else 1.0
-        return Kernel(shape="nearest", nearest=k, photons=scene.photons.count, scale=factor, weighted=weighted)
+        k, photons = scene.photons.nearest, scene.photons.count
+        return Kernel(shape="nearest", nearest=k, photons=photons, scale=factor(scene), weighted=weighted)
 
-    return estimate
+    return _variant(
+        name,
+        _nearest,
+        limit=_limit,
+        inputs=lambda scene, chain, photons: (photons, scene.photons.nearest, factor(scene)),
+        photons=lambda scene, chain: "all" if weighted else "unweighted",
+        kernel=estimate,
+        allowance=0.01,
+        judged=False,
+        why_not="only against its kernel reference: its own limit is an estimate with k photons",
+        **fields,
+    )
 
-
-_NEEDS_KERNEL = "only against its kernel reference: its own limit is an estimate with k photons"
 
 VARIANTS = (
-    Variant(
-        name="next-event",
-        term="direct",
-        estimator=Compiled(_next_event),
+    _variant(
+        "next-event",
+        _next_event,
         limit=lambda scene, samples: (
             _limit(scene, samples)
             if scene.scope == "all"
@@ -279,10 +293,9 @@ VARIANTS = (
         kernel=lambda scene, samples: _of_radius(scene, samples, "scattered") if scene.scope == "all" else None,
         allowance=0.01,
     ),
-    Variant(
-        name="path",
-        term="direct",
-        estimator=Compiled(_path),
+    _variant(
+        "path",
+        _path,
         limit=lambda scene, samples: Limit("direct", scope="all", shadows=scene.shadows),
         kind="right",
         equation=r"\frac{1}{N} \sum_k \sum_j \beta_j \frac{L_e \cos\theta \cos\theta'}{d^2\, p}",
@@ -293,44 +306,26 @@ VARIANTS = (
         no_maps="paths follow the light's bounces",
         scatterings=("diffuse",),
     ),
-    Variant(
-        name="paper",
-        term="direct",
-        estimator=Compiled(_nearest),
-        limit=_limit,
+    _by_nearest(
+        "paper",
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
         converges_to=r"\frac{k}{k-1} E_{\text{all}} / \pi,\ \text{blurred over } r_k",
         source="the paper's photon map: all photons after roulette, the k nearest",
         measured=True,
-        inputs=lambda scene, chain, photons: (photons, scene.photons.nearest, 1.0),
-        photons=lambda scene, chain: "all",
-        kernel=_of_nearest(),
-        allowance=0.01,
-        judged=False,
-        why_not=_NEEDS_KERNEL,
     ),
-    Variant(
-        name="paper-unweighted",
-        term="direct",
-        estimator=Compiled(_nearest),
-        limit=_limit,
+    _by_nearest(
+        "paper-unweighted",
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
         converges_to=r"\frac{k}{k-1} E / \pi \text{ with the grey albedo } P \text{ of the roulette for } \rho",
         source="the paper's photon map read without division by the survival probability",
-        inputs=lambda scene, chain, photons: (photons, scene.photons.nearest, 1.0),
-        photons=lambda scene, chain: "unweighted",
-        kernel=_of_nearest(weighted=False),
+        weighted=False,
         scatterings=("diffuse",),
-        allowance=0.01,
-        judged=False,
-        why_not=_NEEDS_KERNEL,
     ),
-    Variant(
-        name="photon-map",
-        term="direct",
-        estimator=Compiled(_photon_map),
+    _variant(
+        "photon-map",
+        _photon_map,
         limit=_limit,
         kind="right",
         equation=r"\frac{1}{N} \sum_k \frac{1}{\pi} \sum_p \Phi_p K_{r_k}(x_p - x) / M_{r_k}",
@@ -341,24 +336,12 @@ VARIANTS = (
         kernel=lambda scene, samples: _of_radius(scene, samples, "all"),
         allowance=0.01,
     ),
-    Variant(
-        name="nearest",
-        term="direct",
-        estimator=Compiled(_nearest),
-        limit=_limit,
+    _by_nearest(
+        "nearest",
         kind="right",
         equation=r"\frac{1}{N} \sum_k \frac{k - 1}{k} \frac{1}{\pi} \frac{\sum_{p \le k} \Phi_p}{\pi r_k^2}",
         converges_to=r"E_{\text{all}} / \pi,\ \text{blurred over } r_k",
         source="k nearest photons without the factor k / (k - 1) (Garcia, Ureña, Sbert, CGF 2012)",
-        inputs=lambda scene, chain, photons: (
-            photons,
-            scene.photons.nearest,
-            (scene.photons.nearest - 1) / scene.photons.nearest,
-        ),
-        photons=lambda scene, chain: "all",
-        kernel=_of_nearest(unbiased=True),
-        allowance=0.01,
-        judged=False,
-        why_not=_NEEDS_KERNEL,
+        unbiased=True,
     ),
 )

@@ -184,13 +184,15 @@ def _rings(lobe: float) -> Callable[[Scene, int], Limit]:
     )
 
 
+def _variant(name: str, lobe: int, **fields: Any) -> Variant:
+    kernel = Compiled(_chain)
+    return Variant(name=name, term="specular", estimator=kernel, inputs=_inputs(lobe), photons=_photons, **fields)
+
+
 VARIANTS = (
-    Variant(
-        name="vndf",
-        term="specular",
-        estimator=Compiled(_chain),
-        inputs=_inputs(VNDF),
-        photons=_photons,
+    _variant(
+        "vndf",
+        VNDF,
         limit=_limit(),
         kind="right",
         equation=r"\frac{1}{N} \sum_k F(\omega_o \cdot m_k)\, G_1(\omega_k)\, L_k, \quad m_k \sim D_{\omega_o}",
@@ -198,24 +200,18 @@ VARIANTS = (
         source="Beckmann visible normals: Heitz, d'Eon, EGSR 2014",
         measured=True,
     ),
-    Variant(
-        name="uniform",
-        term="specular",
-        estimator=Compiled(_chain),
-        inputs=_inputs(UNIFORM),
-        photons=_photons,
+    _variant(
+        "uniform",
+        UNIFORM,
         limit=_limit(),
         kind="right",
         equation=r"\frac{2 \pi}{N} \sum_k f\, \mu_k L_k, \quad \mu_k = \frac{k - 1 + U}{N}",
         converges_to=r"S[L]",
         source="the paper's sampling with a normalised BRDF",
     ),
-    Variant(
-        name="paper",
-        term="specular",
-        estimator=Compiled(_chain),
-        inputs=_inputs(PAPER),
-        photons=_photons,
+    _variant(
+        "paper",
+        PAPER,
         limit=_limit(4.0 / math.pi),
         kind="wrong",
         equation=r"\frac{2}{N} \sum_k \frac{D F G}{\mu_o} L_k, \quad \mu_k = \frac{k - 1 + U}{N}",
@@ -224,36 +220,27 @@ VARIANTS = (
         measured=True,
         ratio=lambda scene: 4.0 / math.pi if scene.max_bounces == 1 else None,
     ),
-    Variant(
-        name="paper-literal",
-        term="specular",
-        estimator=Compiled(_chain),
-        inputs=_inputs(PAPER_LITERAL),
-        photons=_photons,
+    _variant(
+        "paper-literal",
+        PAPER_LITERAL,
         limit=_limit(4.0 / math.pi, cosine="outgoing"),
         kind="wrong",
         equation=r"\frac{2}{N} \sum_k \frac{D F G}{\mu_k} L_k, \quad \mu_k = \frac{k - 1 + U}{N}",
         converges_to=r"\frac{4}{\pi} \int_\Omega f\, \mu_o L\, d\omega",
         source="the paper's Monte Carlo formula, letter by letter: not its own integral",
     ),
-    Variant(
-        name="paper-code",
-        term="specular",
-        estimator=Compiled(_chain),
-        inputs=_inputs(PAPER_CODE),
-        photons=_photons,
+    _variant(
+        "paper-code",
+        PAPER_CODE,
         limit=_rings(2.0 / math.pi),
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \Big( \mu_k + \frac{F D G}{\mu_o} \Big) L_k, \quad \mu_k = \frac{k}{N + 1}",
         converges_to=r"\frac{1}{2} H[L] + \frac{2}{\pi} S[L] + O(1/N)",
         source="the paper's code, which adds where its formula multiplies; D normalised",
     ),
-    Variant(
-        name="paper-code-no-pi",
-        term="specular",
-        estimator=Compiled(_chain),
-        inputs=_inputs(PAPER_CODE_NO_PI),
-        photons=_photons,
+    _variant(
+        "paper-code-no-pi",
+        PAPER_CODE_NO_PI,
         limit=_rings(2.0),
         kind="wrong",
         equation=r"\frac{1}{N} \sum_k \Big( \mu_k + \frac{\pi F D G}{\mu_o} \Big) L_k, \quad \mu_k = \frac{k}{N + 1}",
