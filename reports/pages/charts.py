@@ -106,14 +106,8 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
     every = sorted(set(drawn["samples"]))
     figure.update_xaxes(tickvals=every, ticktext=[f"{n:g}" for n in every], col=1)
     figure.update_xaxes(**_ticks(drawn["seconds"]), col=2)
-    figure.update_layout(
-        template="none",
-        height=400,
-        margin={"l": 70, "r": 16, "t": 16, "b": 56},
-        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
-        paper_bgcolor="rgba(0,0,0,0)",
-        plot_bgcolor="rgba(0,0,0,0)",
-    )
+    legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
+    _plain(figure, height=400, left=70, bottom=56, legend=legend)
     return figure.to_plotly_json()
 
 
@@ -142,27 +136,14 @@ def waterfall(split: dict[str, list[float]]) -> dict[str, Any]:
             y=value.tolist(),
             base=base.tolist(),
             marker={"color": [COLOURS[4], COLOURS[3], COLOURS[1], COLOURS[0], COLOURS[2]]},
-            error_y={
-                "type": "data",
-                "symmetric": False,
-                "array": (high - value).tolist(),
-                "arrayminus": (value - low).tolist(),
-                "thickness": 1.2,
-                "width": 5,
-            },
+            error_y=_bars(value, low, high, thickness=1.2, width=5),
             customdata=value.tolist(),
             hovertemplate="%{x}<br>%{customdata:.3g} radiance²<extra></extra>",
             showlegend=False,
         )
     )
     figure.update_yaxes(title="mean square error (radiance²)", tickformat=".2~g")
-    figure.update_layout(
-        template="none",
-        height=400,
-        margin={"l": 90, "r": 16, "t": 16, "b": 40},
-        paper_bgcolor="rgba(0,0,0,0)",
-        plot_bgcolor="rgba(0,0,0,0)",
-    )
+    _plain(figure, height=400, left=90, bottom=40)
     return figure.to_plotly_json()
 
 
@@ -209,14 +190,7 @@ def p_histograms(tiles: list[dict[str, Any]]) -> dict[str, Any] | None:
     figure.update_xaxes(range=[0, 1])
     figure.update_yaxes(rangemode="tozero", nticks=6)
     figure.update_yaxes(title="tiles", col=1)
-    figure.update_layout(
-        template="none",
-        height=300,
-        bargap=0,
-        margin={"l": 60, "r": 16, "t": 16, "b": 44},
-        paper_bgcolor="rgba(0,0,0,0)",
-        plot_bgcolor="rgba(0,0,0,0)",
-    )
+    _plain(figure, height=300, left=60, bottom=44, bargap=0)
     return figure.to_plotly_json()
 
 
@@ -239,19 +213,8 @@ def error_against_time(ours: list[dict[str, Any]], theirs: list[dict[str, Any]])
     drawn = []
     for index, curve in enumerate(ours):
         colour = COLOURS[index % len(COLOURS)]
-        figure.add_trace(
-            _curve(curve, f"ours: {curve['setting']}", colour, MARKS[index])
-            | {
-                "error_x": {
-                    "type": "data",
-                    "symmetric": False,
-                    "array": np.subtract(curve["seconds_high"], curve["seconds"]).tolist(),
-                    "arrayminus": np.subtract(curve["seconds"], curve["seconds_low"]).tolist(),
-                    "thickness": 1,
-                    "width": 2,
-                }
-            }
-        )
+        ends = _bars(curve["seconds"], curve["seconds_low"], curve["seconds_high"], thickness=1, width=2)
+        figure.add_trace(_curve(curve, f"ours: {curve['setting']}", colour, MARKS[index]) | {"error_x": ends})
         if curve["floor"]:
             figure.add_trace(
                 {
@@ -309,14 +272,7 @@ def scaling(rows: list[dict[str, Any]]) -> dict[str, Any]:
             "mode": "lines+markers",
             "line": {"color": COLOURS[0], "width": 1.5},
             "marker": {"color": COLOURS[0], "size": 8},
-            "error_y": {
-                "type": "data",
-                "symmetric": False,
-                "array": (high - each).tolist(),
-                "arrayminus": (each - low).tolist(),
-                "thickness": 1,
-                "width": 3,
-            },
+            "error_y": _bars(each, low, high, thickness=1, width=3),
             "showlegend": False,
             "hovertemplate": f"%{{x}} {rows[0]['axis']}<br>%{{y:.4g}} ns a {unit}<extra></extra>",
         }
@@ -332,14 +288,21 @@ def scaling(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def _log_axes(figure: go.Figure, x: tuple[str, list[float]], y: tuple[str, list[float]]) -> None:
     figure.update_xaxes(type="log", title=x[0], **_ticks(x[1]))
     figure.update_yaxes(type="log", title=y[0], **_ticks(y[1]))
-    figure.update_layout(
-        template="none",
-        height=400,
-        margin={"l": 70, "r": 16, "t": 16, "b": 56},
-        legend={"orientation": "h", "y": -0.2, "yanchor": "top", "x": 0, "font": {"size": 11}},
-        paper_bgcolor="rgba(0,0,0,0)",
-        plot_bgcolor="rgba(0,0,0,0)",
-    )
+    legend = {"orientation": "h", "y": -0.2, "yanchor": "top", "x": 0, "font": {"size": 11}}
+    _plain(figure, height=400, left=70, bottom=56, legend=legend)
+
+
+def _plain(figure: go.Figure, *, height: int, left: int, bottom: int, **layout: Any) -> None:
+    """No frame and no ground of its own: the page's shows."""
+    figure.update_layout(template="none", height=height, margin={"l": left, "r": 16, "t": 16, "b": bottom}, **layout)
+    figure.update_layout(paper_bgcolor="rgba(0,0,0,0)", plot_bgcolor="rgba(0,0,0,0)")
+
+
+def _bars(value: Any, low: Any, high: Any, *, thickness: float, width: int) -> dict[str, Any]:
+    """Error bars from low to high."""
+    above, below = np.subtract(high, value).tolist(), np.subtract(value, low).tolist()
+    ends = {"array": above, "arrayminus": below}
+    return {"type": "data", "symmetric": False, **ends, "thickness": thickness, "width": width}
 
 
 def fitted_curve(
