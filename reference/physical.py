@@ -4,10 +4,9 @@
 - direct: diffuse lobe first, and it ends on a light;
 - specular: specular lobe first.
 
-Light is linear, so "ends on" is a scene with that light alone. At the camera vertex one lobe is lit by light
-sampling and lobe sampling with the power heuristic (Veach 1997); what the lobe's direction meets is lit by
-Mitsuba's `path`. All lights are visible to every lobe, the ambient light L_a0 does not exist, and the parts add up
-to plain `path`.
+Light is linear, so "ends on" is a scene with that light alone. At the camera vertex one lobe is lit by light sampling
+and lobe sampling with the power heuristic (Veach 1997); what the lobe's direction meets is lit by Mitsuba's `path`. All
+lights are visible to every lobe, the ambient light L_a0 does not exist, and the parts add up to plain `path`.
 """
 
 from typing import Any

@@ -1,9 +1,8 @@
 """Scene -> Mitsuba: one function per class of the scene model, all lengths at one canonical scale.
 
-Mitsuba's float32 ray offset is `(1 + max |p|) * 8.9e-5`, an absolute length: ambient occlusion is 9 % off in a
-scene of size 1e-3 or 1e3 away from the origin. So every scene is centred and scaled by a power of two to a
-bounding box of 50 to 100 units. Radiance does not change under scaling; the intensity of a point light scales
-with the square of the scale.
+Mitsuba's float32 ray offset is `(1 + max |p|) * 8.9e-5`, an absolute length: ambient occlusion is 9 % off in a scene of
+size 1e-3 or 1e3 away from the origin. So every scene is centred and scaled by a power of two to a bounding box of 50 to
+100 units. Radiance does not change under scaling; the intensity of a point light scales with the square of the scale.
 
 `describe` returns plain numbers, strings and lists only, with meshes and textures as files beside it: what is
 rendered here is what `reference.export` writes out.

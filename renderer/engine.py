@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -82,6 +82,15 @@ def whole(samples: int) -> int:
     return int(samples)
 
 
+class _Task(NamedTuple):
+    """What is rendered: `stored` says which photons its maps hold, None for no map."""
+
+    variant: Variant
+    driver: Callable[..., None]
+    chain: Chain
+    stored: Stored | None
+
+
 class Engine:
     """A scene made ready for kernels, and the threads that run them.
 
@@ -131,7 +140,7 @@ class Engine:
         self._scratches: list[Scratch] = []
         self._local = threading.local()
         self.kernels: set[str] = set()
-        self._warmed: set[tuple[Variant, Chain, Stored | None]] = set()
+        self._warmed: set[_Task] = set()
         self._kept_bytes = kept_bytes
         self._maps: dict[tuple, photon_map.PhotonMap] = {}
         width, height = scene.resolution
@@ -245,6 +254,7 @@ class Engine:
             return
         key = root(request.seed, request.replicate)
         stored = needs_photons(self.scene, variant, chain, without=self.without)
+        task = _Task(variant, driver, chain, stored)
         if self.adaptive and stored:
             raise ValueError(
                 f"{self.scene.name}: adaptive = True with {variant.term} {variant.name}, which has a photon map a "
@@ -257,11 +267,11 @@ class Engine:
         # Adaptive counts are so few in places that each sample needs a camera ray.
         split = 1 if self.adaptive or "splitting" in self.without else variant.split(self.scene)
         done = 0
-        self._warm(variant, driver, chain, stored, key, out)
+        self._warm(task, key, out)
         begin = time.perf_counter()
         share = np.ones(len(tiles))
         if self.adaptive:
-            share = self._pilot(variant, driver, chain, stream(key, _PILOT_STREAM), tiles, cancel)
+            share = self._pilot(task, stream(key, _PILOT_STREAM), tiles, cancel)
         taken = np.ones((height, width, 1))
         seconds = time.perf_counter() - begin
         for count in request.counts:
@@ -272,8 +282,7 @@ class Engine:
                 if stored:
                     number = first // per_map
                     last = min(count, (number + 1) * per_map)
-                    emitted = self.scene.photons.count
-                    photons = self._shared(variant, chain, stored, key, number, emitted, self._unless(cancel))
+                    photons = self._shared(task, key, number, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
                 work = _work(tiles, share, first, last, split)
                 self._run(driver, inputs, key, work, out, self._room_for_hits(key, request.samples), cancel)
@@ -287,29 +296,14 @@ class Engine:
                 taken[y0:y1, x0:x1] = last
             yield count, out / taken, seconds
 
-    def _pilot(
-        self,
-        variant: Variant,
-        driver: Callable[..., None],
-        chain: Chain,
-        key: np.uint64,
-        tiles: list[Tile],
-        cancel: threading.Event | None,
-    ) -> np.ndarray:
+    def _pilot(self, task: _Task, key: np.uint64, tiles: list[Tile], cancel: threading.Event | None) -> np.ndarray:
         """Share of each tile in the samples, by two images that are then thrown away."""
         width, height = self.scene.resolution
-        inputs = variant.inputs(self.scene, chain, photon_map.empty())
+        inputs = task.variant.inputs(self.scene, task.chain, photon_map.empty())
+        work = _work(tiles, np.ones(len(tiles)), 0, PILOT, 1)
         images = np.zeros((2, height, width, 3))
         for number, image in enumerate(images):
-            self._run(
-                driver,
-                inputs,
-                stream(key, number),
-                _work(tiles, np.ones(len(tiles)), 0, PILOT, 1),
-                image,
-                NOTHING_SEEN,
-                cancel,
-            )
+            self._run(task.driver, inputs, stream(key, number), work, image, NOTHING_SEEN, cancel)
         return shares(tiles, *images)
 
     def _add_beyond(self, term: Term, out: np.ndarray, samples: int) -> None:
@@ -391,73 +385,47 @@ class Engine:
         count = max(1, min(len(work), self._threads * min(_MOST_PARTS, max(_FEWEST_PARTS, wanted))))
         return [np.ascontiguousarray(work[part::count]) for part in range(count)]
 
-    def _warm(
-        self,
-        variant: Variant,
-        driver: Callable[..., None],
-        chain: Chain,
-        stored: Stored | None,
-        key: np.uint64,
-        out: np.ndarray,
-    ) -> None:
+    def _warm(self, task: _Task, key: np.uint64, out: np.ndarray) -> None:
         """Compile before the clock starts; once is enough."""
-        if (variant, chain, stored) in self._warmed:
+        if task in self._warmed:
             return
         start = time.perf_counter()
-        self.kernels.update(self.kernels_of(variant, chain=chain))
-        photons = photon_map.empty()
-        if stored:
-            # Its photon does not count.
-            photons = self._photons(variant, chain, stored, key, 0, 1, new_scratch)
-        inputs = variant.inputs(self.scene, chain, photons)
-        warm(driver, self.arrays, *inputs, key, np.zeros((0, 7), np.int64), out, self._scratch())
-        self._warmed.add((variant, chain, stored))
+        self.kernels.update(self.kernels_of(task.variant, chain=task.chain))
+        # The one photon does not count.
+        photons = self._photons(task, key, 0, 1, new_scratch) if task.stored else photon_map.empty()
+        inputs = task.variant.inputs(self.scene, task.chain, photons)
+        warm(task.driver, self.arrays, *inputs, key, np.zeros((0, 7), np.int64), out, self._scratch())
+        self._warmed.add(task)
         self.compile_seconds += time.perf_counter() - start
 
-    def _shared(
-        self,
-        variant: Variant,
-        chain: Chain,
-        stored: Stored,
-        key: np.uint64,
-        index: int,
-        count: int,
-        scratch: Callable[[], Scratch],
-    ) -> photon_map.PhotonMap:
+    def _shared(self, task: _Task, key: np.uint64, index: int, scratch: Callable[[], Scratch]) -> photon_map.PhotonMap:
         """The map of pass `index`: one that was kept, or a new one, kept while there is room."""
         # The first maps stay: all terms ask from the first to the last, where the latest used would help none.
         if self._maps and next(iter(self._maps))[0] != key:
             self._maps.clear()
-        name = (key, index, count, stored, self._scattering(variant, chain, stored))
+        name = (key, index, task.stored, self._scattering(task))
         if name in self._maps:
             return self._maps[name]
-        made = self._photons(variant, chain, stored, key, index, count, scratch)
+        made = self._photons(task, key, index, self.scene.photons.count, scratch)
         if sum(map(photon_map.bytes_of, (*self._maps.values(), made))) <= self._kept_bytes:
             self._maps[name] = made
         return made
 
-    def _scattering(self, variant: Variant, chain: Chain, stored: Stored) -> photon_tracing.Scattering:
+    def _scattering(self, task: _Task) -> photon_tracing.Scattering:
         """How the photons of a variant go on."""
         photons = self.scene.photons
-        by_nearest = variant.by_nearest(self.scene, chain)
+        by_nearest = task.variant.by_nearest(self.scene, task.chain)
         return photon_tracing.Scattering(
             survival=photons.survival or 0.0,
-            weighted=stored != "unweighted",
+            weighted=task.stored != "unweighted",
             # The operator of a specular chain means diffuse scattering.
-            full=photons.scattering == "full" and variant.term == "direct",
+            full=photons.scattering == "full" and task.variant.term == "direct",
             independent=by_nearest,
             aimed=not by_nearest and "aimed" not in self.without,
         )
 
     def _photons(
-        self,
-        variant: Variant,
-        chain: Chain,
-        stored: Stored,
-        key: np.uint64,
-        index: int,
-        count: int,
-        scratch: Callable[[], Scratch],
+        self, task: _Task, key: np.uint64, index: int, count: int, scratch: Callable[[], Scratch]
     ) -> photon_map.PhotonMap:
         """The map of pass `index`."""
         photons = self.scene.photons
@@ -468,8 +436,8 @@ class Engine:
             count=count,
             radius=photon_map.progressive_radius(photons.radius, index),
             shape=photons.kernel,
-            rule=self._scattering(variant, chain, stored),
-            first_hits=stored != "scattered",
+            rule=self._scattering(task),
+            first_hits=task.stored != "scattered",
             pool=self.pool,
             scratch=scratch,
         )

@@ -291,9 +291,8 @@ class Photons:
 class Toggles:
     """The paper's switches.
 
-    ambient_occlusion off: the ambient light is L_a0 everywhere. lighting off: no direct term.
-    reflections off: no specular term, and the diffuse weight is `color` without (1 - gloss), as the
-    paper's code has it.
+    ambient_occlusion off: the ambient light is L_a0 everywhere. lighting off: no direct term. reflections off: no
+    specular term, and the diffuse weight is `color` without (1 - gloss), as the paper's code has it.
     """
 
     ambient_occlusion: bool = True

@@ -1,11 +1,10 @@
 """Watertight ray/triangle intersection in float64.
 
 Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013: shear the triangle so that the ray is the
-z axis; the hit is inside where the three scaled edge functions U, V, W have one sign, and
-`t = (U z0 + V z1 + W z2) / (U + V + W)`. Edges that two triangles share get the same edge function, so no ray slips
-between them. Where a corner lies on a longer edge (a T-junction), the functions differ by their roundings: a sign
-counts only beyond 2^-48 |U + V + W|, in the manner of Embree's robust test. Both sides of a triangle are hit. A
-triangle without area is never hit.
+z axis; the hit is inside where the three scaled edge functions U, V, W have one sign, and `t = (U z0 + V z1 + W z2) /
+(U + V + W)`. Edges that two triangles share get the same edge function, so no ray slips between them. Where a corner
+lies on a longer edge (a T-junction), the functions differ by their roundings: a sign counts only beyond 2^-48 |U + V +
+W|, in the manner of Embree's robust test. Both sides of a triangle are hit. A triangle without area is never hit.
 """
 
 import math

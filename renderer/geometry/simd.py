@@ -119,6 +119,22 @@ def _literal(value: types.Type) -> int:
     return value.literal_value
 
 
+def _data(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    """Where the entries of the first argument, an array, begin."""
+    return context.make_array(sig.args[0])(context, builder, args[0]).data
+
+
+def _call(builder: Any, name: str, result: Any, operands: Any) -> Any:
+    """Call one of LLVM's own functions."""
+    of = ir.FunctionType(result, [operand.type for operand in operands])
+    return builder.call(cgutils.get_or_insert_function(builder.module, of, name), operands)
+
+
+def _named(kind: Any) -> str:
+    """How LLVM's functions of float vectors name a type."""
+    return f"v{kind.count}{'f32' if isinstance(kind.element, ir.FloatType) else 'f64'}"
+
+
 @intrinsic(prefer_literal=True)
 def load(typingctx: Any, array: Any, start: Any, lanes: Any) -> Any:
     """Entries start ... start + lanes - 1 of a C-contiguous array, counted over all of it; no alignment is needed."""
@@ -127,8 +143,7 @@ def load(typingctx: Any, array: Any, start: Any, lanes: Any) -> Any:
     vector = Vector(array.dtype, _literal(lanes))
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        place = builder.gep(data, [args[1]], inbounds=True)
+        place = builder.gep(_data(context, builder, sig, args), [args[1]], inbounds=True)
         value = context.get_value_type(vector)
         loaded = builder.load(builder.bitcast(place, value.as_pointer()))
         loaded.align = np.dtype(str(array.dtype)).itemsize
@@ -144,8 +159,7 @@ def load_int(typingctx: Any, array: Any, start: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        integers = builder.bitcast(data, ir.IntType(32).as_pointer())
+        integers = builder.bitcast(_data(context, builder, sig, args), ir.IntType(32).as_pointer())
         return builder.sext(builder.load(builder.gep(integers, [args[1]], inbounds=True)), ir.IntType(64))
 
     return types.int64(array, types.intp), codegen
@@ -158,8 +172,7 @@ def store(typingctx: Any, array: Any, start: Any, vector: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        place = builder.gep(data, [args[1]], inbounds=True)
+        place = builder.gep(_data(context, builder, sig, args), [args[1]], inbounds=True)
         builder.store(
             args[2], builder.bitcast(place, args[2].type.as_pointer()), align=np.dtype(str(array.dtype)).itemsize
         )
@@ -246,11 +259,7 @@ def magnitude(typingctx: Any, vector: Any) -> Any:
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = args[0].type
-        suffix = "f32" if isinstance(kind.element, ir.FloatType) else "f64"
-        declared = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(kind, [kind]), f"llvm.fabs.v{kind.count}{suffix}"
-        )
-        return builder.call(declared, args)
+        return _call(builder, f"llvm.fabs.{_named(kind)}", kind, args)
 
     return vector(vector), codegen
 
@@ -304,13 +313,8 @@ def choose(typingctx: Any, mask: Any, a: Any, b: Any) -> Any:
 
 def _fused(negative: bool) -> Any:
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = args[0].type
-        suffix = "f32" if isinstance(kind.element, ir.FloatType) else "f64"
-        declared = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(kind, [kind] * 3), f"llvm.fma.v{kind.count}{suffix}"
-        )
         a, b, c = args
-        return builder.call(declared, (a, b, builder.fneg(c) if negative else c))
+        return _call(builder, f"llvm.fma.{_named(a.type)}", a.type, (a, b, builder.fneg(c) if negative else c))
 
     return codegen
 
@@ -351,10 +355,7 @@ def smallest(typingctx: Any, vector: Any) -> Any:
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = args[0].type
-        declared = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(kind.element, [kind]), f"llvm.vector.reduce.smin.v{kind.count}i32"
-        )
-        return builder.call(declared, args)
+        return _call(builder, f"llvm.vector.reduce.smin.v{kind.count}i32", kind.element, args)
 
     return types.int32(vector), codegen
 
@@ -365,12 +366,8 @@ def compress(typingctx: Any, vector: Any, mask: Any) -> Any:
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = args[0].type
-        declared = cgutils.get_or_insert_function(
-            builder.module,
-            ir.FunctionType(kind, [kind, args[1].type, kind]),
-            f"llvm.experimental.vector.compress.v{kind.count}i32",
-        )
-        return builder.call(declared, [*args, ir.Constant(kind, ir.Undefined)])
+        operands = [*args, ir.Constant(kind, ir.Undefined)]
+        return _call(builder, f"llvm.experimental.vector.compress.v{kind.count}i32", kind, operands)
 
     return vector(vector, mask), codegen
 
@@ -389,8 +386,7 @@ def load_ints(typingctx: Any, array: Any, start: Any, lanes: Any) -> Any:
     vector = Vector(types.int32, _literal(lanes))
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        integers = builder.bitcast(data, ir.IntType(32).as_pointer())
+        integers = builder.bitcast(_data(context, builder, sig, args), ir.IntType(32).as_pointer())
         place = builder.gep(integers, [args[1]], inbounds=True)
         loaded = builder.load(builder.bitcast(place, context.get_value_type(vector).as_pointer()))
         loaded.align = 4

@@ -9,10 +9,8 @@ from termwise.scenes.store import write_atomically
 
 _UNITS: tuple[tuple[str | None, str], ...] = (
     (None, "scene base setting group at term variant kind scope against verdict"),
-    (
-        "1",
-        "bias bias_low bias_high standard_error family_low family_high detectable_bias predicted_bias margin allowance tests rms_bias rms_bias_high",
-    ),
+    ("1", "bias bias_low bias_high standard_error family_low family_high detectable_bias predicted_bias"),
+    ("1", "margin allowance tests rms_bias rms_bias_high"),
     (None, "place"),
     ("radiance", "rmse rmse_low rmse_high"),
     ("1", "relmse ssim slope slope_low slope_high"),

@@ -1,10 +1,9 @@
 """Distances between two images: RMSE, relative MSE and SSIM.
 
-`RMSE = sqrt(mean (I - R)²)` and `relMSE = mean (I - R)²/(R² + ε)` are taken on linear radiance;
-SSIM on what a screen shows: a fixed exposure, clipped to [0, 1], sRGB-encoded, data range 1. The
-range is fixed because SSIM of one pair of float images is -0.04, 0.32 or 0.98 for a range of 1, 10
-or 100. None of these tells bias from noise (a noisy unbiased image scores worse than a smooth wrong
-one): that is the verdict's task.
+`RMSE = sqrt(mean (I - R)²)` and `relMSE = mean (I - R)²/(R² + ε)` are taken on linear radiance; SSIM on what a screen
+shows: a fixed exposure, clipped to [0, 1], sRGB-encoded, data range 1. The range is fixed because SSIM of one pair of
+float images is -0.04, 0.32 or 0.98 for a range of 1, 10 or 100. None of these tells bias from noise (a noisy unbiased
+image scores worse than a smooth wrong one): that is the verdict's task.
 """
 
 import warnings

@@ -169,9 +169,8 @@ def judge(
 
     Parameters
     ----------
-    images, reference : (K, H, W, 3) and (R, H, W, 3) floating, or sequences of (H, W, 3)
-        Independent replicates (own seed each), linear radiance in one unit. With `exact`, `reference` may
-        be a single (H, W, 3) image.
+    images, reference : (K, H, W, 3) and (R, H, W, 3) floating, or sequences of (H, W, 3) Independent replicates (own
+        seed each), linear radiance in one unit. With `exact`, `reference` may be a single (H, W, 3) image.
     exact : bool
         The reference has no noise.
     noiseless : bool

@@ -128,8 +128,7 @@ def offsets(count: int) -> Iterator[Row]:
 def speed(count: int) -> Iterator[Row]:
     """Rays a second are the same at any offset: boxes are kept relative to the scene's centre.
 
-    Other work on the machine only adds: of 9 alternating pairs the least processor times count, and
-    20 % are allowed.
+    Other work on the machine only adds: of 9 alternating pairs the least processor times count, and 20 % are allowed.
     """
     corners = ball(4)
     origins, directions = _around(np.random.default_rng(3), max(count, 2**14))

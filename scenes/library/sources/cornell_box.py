@@ -57,8 +57,7 @@ def footprint(name: str) -> tuple[np.ndarray, float, float]:
 
     Returns
     -------
-    center (x, y) and side (root of the quadrilateral's area) in scene units; turn about z in degrees, within
-    (-45, 45].
+    center (x, y) and side (root of the quadrilateral's area) in scene units; turn about z in degrees, within (-45, 45].
     """
     x, z = np.array(BLOCKS[name], np.float64).T
     corners = (278 - x) / 100 + 1j * (z - 279.6) / 100  # complex plane: x + iy
