@@ -354,8 +354,8 @@ def _complete(row: dict[str, Any]) -> dict[str, Any]:
 
 def _tally(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     """Rows by word, the gravest first."""
-    found = {word: [row for row in rows if word(row) == word] for word in WORDS}
-    return {word: rows for word, rows in found.items() if rows}
+    found = {each: [row for row in rows if word(row) == each] for each in WORDS}
+    return {each: rows for each, rows in found.items() if rows}
 
 
 def _keys(scenes: list[_Scene]) -> dict[str, list[str]]:
