@@ -182,20 +182,8 @@ def run(tmp_path_factory) -> Path:
                     for side in SIDES
                 ],
             }  # fmt: skip
-    results = {
-        "schema": 1,
-        "versions": {"termwise": "0.1.0"},
-        "settings": {
-            "study": "standard",
-            "seed": 1,
-            "command": "termwise compare",
-            "options": {},
-            "tests": 9,
-            "alpha": 0.05,
-            "scenes": described,
-        },
-        "cells": rows,
-    }
+    asked = {"study": "standard", "seed": 1, "command": "termwise compare", "options": {}, "tests": 9, "alpha": 0.05}
+    results = {"schema": 1, "versions": {"termwise": "0.1.0"}, "settings": asked | {"scenes": described}, "cells": rows}
     (folder / "results.json").write_text(json.dumps(results), "utf-8")
     page.write(folder)
     return folder

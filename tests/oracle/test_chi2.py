@@ -17,15 +17,9 @@ import pytest
 from scipy import special
 
 from termwise.reference.backend import import_mitsuba
+from termwise.renderer import warp
 from termwise.renderer.microfacet import pdf_lobe, sample_lobe, sample_visible_normal
 from termwise.renderer.vector import Vec3
-from termwise.renderer.warp import (
-    hemisphere_ring,
-    square_to_cosine_hemisphere,
-    square_to_cosine_hemisphere_pdf,
-    square_to_triangle,
-    square_to_uniform_sphere,
-)
 
 TESTS = 40  # made in this file: the level 1 % is corrected for their number
 
@@ -61,31 +55,20 @@ def must_accept(test: Any) -> None:
     assert test.accepted, test.messages
 
 
-@numba.njit
-def _uniform_sphere(u, v):
-    out = np.empty((3, len(u)))
-    for i in range(len(u)):
-        w = square_to_uniform_sphere(u[i], v[i])
-        out[0, i], out[1, i], out[2, i] = w.x, w.y, w.z
-    return out
+def _directions(sampler: Callable) -> Callable:
+    @numba.njit
+    def sample(u, v):
+        out = np.empty((3, len(u)))
+        for i in range(len(u)):
+            w = sampler(u[i], v[i])
+            out[0, i], out[1, i], out[2, i] = w.x, w.y, w.z
+        return out
+
+    return sample
 
 
-@numba.njit
-def _ring(u, v):
-    out = np.empty((3, len(u)))
-    for i in range(len(u)):
-        w = hemisphere_ring(u[i], v[i])
-        out[0, i], out[1, i], out[2, i] = w.x, w.y, w.z
-    return out
-
-
-@numba.njit
-def _cosine(u, v):
-    out = np.empty((3, len(u)))
-    for i in range(len(u)):
-        w = square_to_cosine_hemisphere(u[i], v[i])
-        out[0, i], out[1, i], out[2, i] = w.x, w.y, w.z
-    return out
+_uniform_sphere, _ring = _directions(warp.square_to_uniform_sphere), _directions(warp.hemisphere_ring)
+_cosine = _directions(warp.square_to_cosine_hemisphere)
 
 
 @numba.njit
@@ -93,7 +76,7 @@ def _triangle(u, v):
     """Point in coordinates (s, r) = (b1 + b2, b2 / (b1 + b2)), where the uniform density is 2 s: no jump to resolve."""
     out = np.empty((2, len(u)))
     for i in range(len(u)):
-        b1, b2 = square_to_triangle(u[i], v[i])
+        b1, b2 = warp.square_to_triangle(u[i], v[i])
         out[0, i], out[1, i] = b1 + b2, b2 / (b1 + b2)
     return out
 
@@ -160,7 +143,7 @@ def test_uniform_hemisphere(mi):
 def test_cosine_hemisphere(mi):
     """Density cos(theta) / pi by our own pdf; the uniform hemisphere must be rejected."""
     domain = mi.chi2.SphericalDomain()
-    density = lambda x, y, z: [square_to_cosine_hemisphere_pdf(c) for c in z.tolist()]  # noqa: E731
+    density = lambda x, y, z: [warp.square_to_cosine_hemisphere_pdf(c) for c in z.tolist()]  # noqa: E731
     must_accept(chi2(mi, domain, _cosine, density))
     assert not chi2(mi, domain, _ring, density).accepted
 

@@ -128,17 +128,13 @@ def transformed(
         return after
 
     camera, sky = scene.camera, scene.sky
+    position, target = (vector(moved(point)) for point in (camera.position, camera.target))
     texture = sky.texture
     if turn is QUARTER and texture is not None:  # u = atan2(n.x, n.y) / (2 pi) + 0.5 falls by a quarter
         texture = np.roll(texture, -texture.shape[1] // 4, axis=1)
     return attrs.evolve(
         scene,
-        camera=attrs.evolve(
-            camera,
-            position=vector(moved(camera.position)),
-            target=vector(moved(camera.target)),
-            up=vector(turned @ np.array(camera.up)),
-        ),
+        camera=attrs.evolve(camera, position=position, target=target, up=vector(turned @ np.array(camera.up))),
         objects=tuple(attrs.evolve(thing, mesh=mesh(thing.mesh)) for thing in scene.objects),
         lights=tuple(
             PointLight(vector(moved(light.position)), vector(scale**2 * np.array(light.intensity)))

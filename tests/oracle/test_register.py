@@ -70,17 +70,7 @@ def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path):
         return np.random.default_rng((seed, samples)).gamma(0.1, 1.0, (*scene.resolution[::-1], 3))
 
     termwise.register("ambient", "noisy", noisy, Limit("ambient"))
-    small = attrs.evolve(
-        study.load("quick"),
-        resolution=(8, 8),
-        replicates=4,
-        reference_replicates=4,
-        reference_spp=4,
-        physical_spp=1,
-        samples={"ambient": 2, "direct": 1, "specular": 1, "background": 1},
-        variants=study.Variants(ambient=("noisy",), direct=("path",), specular=("vndf",)),
-        budget=3600.0,
-    )
+    small = attrs.evolve(_small("noisy"), budget=3600.0)
     scenes = subjects.scenes_of(small, ("two_cubes",))
     results = run.measure(small, scenes, tmp_path, name="quick", report=lambda what, done, total: None)
     (row,) = (row for row in results["cells"] if row["variant"] == "noisy" and row["verdict"])

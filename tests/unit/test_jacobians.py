@@ -13,19 +13,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from termwise.renderer import warp
 from termwise.renderer.arrays import from_scene
 from termwise.renderer.microfacet import beckmann_d, pdf_lobe, sample_lobe, sample_visible_normal, smith_g1
 from termwise.renderer.terms.specular import UNIFORM, sample_variant
 from termwise.renderer.triangles import point_on_face
 from termwise.renderer.vector import Vec3
-from termwise.renderer.warp import (
-    hemisphere_ring,
-    square_to_cosine_hemisphere,
-    square_to_cosine_hemisphere_pdf,
-    square_to_triangle,
-    square_to_uniform_cone,
-    square_to_uniform_sphere,
-)
 from termwise.scenes.analytic import plate
 from termwise.scenes.model import Camera, Object, Scene
 
@@ -52,11 +45,11 @@ def interior(count: int) -> list[list[float]]:
 @pytest.mark.parametrize(
     ("sample", "density"),
     [
-        (square_to_uniform_sphere, lambda w: 1 / (4 * math.pi)),
-        (lambda u, v: square_to_uniform_cone(u, v, 0.9), lambda w: 1 / (0.2 * math.pi)),
-        (lambda u, v: square_to_uniform_cone(u, v, -0.5), lambda w: 1 / (3 * math.pi)),
-        (hemisphere_ring, lambda w: 1 / (2 * math.pi)),
-        (square_to_cosine_hemisphere, lambda w: square_to_cosine_hemisphere_pdf(w.z)),
+        (warp.square_to_uniform_sphere, lambda w: 1 / (4 * math.pi)),
+        (lambda u, v: warp.square_to_uniform_cone(u, v, 0.9), lambda w: 1 / (0.2 * math.pi)),
+        (lambda u, v: warp.square_to_uniform_cone(u, v, -0.5), lambda w: 1 / (3 * math.pi)),
+        (warp.hemisphere_ring, lambda w: 1 / (2 * math.pi)),
+        (warp.square_to_cosine_hemisphere, lambda w: warp.square_to_cosine_hemisphere_pdf(w.z)),
     ],
     ids=("sphere", "narrow cone", "wide cone", "hemisphere", "cosine"),
 )
@@ -73,7 +66,7 @@ def test_points_of_a_triangle(compiled):
     geometry = from_scene(Scene("plate", Camera((0.0, -3.0, 0.0), (0.0, 0.0, 0.0)), (Object("plate", mesh),))).geometry
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     for face in (0, 1):
-        sample = lambda u, v, face=face: point_on_face(geometry, face, *square_to_triangle(u, v))  # noqa: E731
+        sample = lambda u, v, face=face: point_on_face(geometry, face, *warp.square_to_triangle(u, v))  # noqa: E731
         for u, v in interior(100 if compiled else 30):
             assert jacobian(sample, u, v) / area[face] == pytest.approx(1, rel=1e-5)
 

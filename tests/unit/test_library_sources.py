@@ -47,18 +47,11 @@ def test_fresnel_of_known_media(source):
     assert reflectance(np.array(0.0), np.array(3.0)) == pytest.approx(1.0)
 
 
+WHITE = "floor", "ceiling", "back wall", "front wall", "short block", "tall block"
+
+
 @pytest.mark.parametrize(
-    ("name", "paint"),
-    [
-        ("floor", "white"),
-        ("ceiling", "white"),
-        ("back wall", "white"),
-        ("front wall", "white"),
-        ("short block", "white"),
-        ("tall block", "white"),
-        ("red wall", "red"),
-        ("green wall", "green"),
-    ],
+    ("name", "paint"), [*((name, "white") for name in WHITE), ("red wall", "red"), ("green wall", "green")]
 )
 def test_cornell_box_is_painted_as_measured(source, name, paint):
     color = objects("cornell_box")[name]["color"]

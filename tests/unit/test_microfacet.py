@@ -24,15 +24,8 @@ from termwise.renderer.microfacet import (
     sample_visible_normal,
     smith_g1,
 )
-from termwise.renderer.terms.specular import (
-    PAPER,
-    PAPER_CODE,
-    PAPER_CODE_NO_PI,
-    PAPER_LITERAL,
-    UNIFORM,
-    VNDF,
-    sample_variant,
-)
+from termwise.renderer.terms import specular
+from termwise.renderer.terms.specular import sample_variant
 from termwise.renderer.vector import Vec3
 from termwise.renderer.warp import hemisphere_ring, ring_cosine
 
@@ -218,7 +211,11 @@ def test_furnace_by_quadrature_of_eval(alpha, mu_o, expected, compiled):
 
 
 # What each estimator becomes under a white sky: the factor of the lobe, and the cosine that multiplies it.
-MEANS = {UNIFORM: (1.0, "incident"), PAPER: (4 / math.pi, "incident"), PAPER_LITERAL: (4 / math.pi, "outgoing")}
+MEANS = {
+    specular.UNIFORM: (1.0, "incident"),
+    specular.PAPER: (4 / math.pi, "incident"),
+    specular.PAPER_LITERAL: (4 / math.pi, "outgoing"),
+}
 
 
 @pytest.mark.parametrize("estimator", MEANS, ids=("uniform", "paper", "paper-literal"))
@@ -238,7 +235,7 @@ def test_jittered_estimators_have_their_mean(estimator, alpha, mu_o, expected):
 
 
 @pytest.mark.parametrize("rings", [1, 5, 16])
-@pytest.mark.parametrize(("estimator", "factor"), [(PAPER_CODE, 1.0), (PAPER_CODE_NO_PI, math.pi)])
+@pytest.mark.parametrize(("estimator", "factor"), [(specular.PAPER_CODE, 1.0), (specular.PAPER_CODE_NO_PI, math.pi)])
 def test_code_estimators_have_the_mean_of_the_loop(estimator, factor, rings, compiled):
     """The paper's loop over k = 1 .. N, its azimuth averaged: (1/N) sum mu_k + F D G / mu_o, restated in NumPy."""
     alpha, mu_o = 0.4, 0.6
@@ -266,14 +263,14 @@ def test_every_ring_has_the_same_share():
 def test_variants_sample_what_they_say():
     """`vndf` is `sample_lobe`; the others draw the cosine u, or its ring, and the azimuth 2 pi v, none from below."""
     wo = direction(0.4, 1.0)
-    assert sample_variant(VNDF, 1, wo, 0.3, WHITE, 0.3, 0.6) == sample_lobe(wo, 0.3, WHITE, 0.3, 0.6)
-    for estimator in (UNIFORM, PAPER, PAPER_LITERAL, PAPER_CODE):
-        cosine = 0.3 if estimator != PAPER_CODE else 1 / 3
+    assert sample_variant(specular.VNDF, 1, wo, 0.3, WHITE, 0.3, 0.6) == sample_lobe(wo, 0.3, WHITE, 0.3, 0.6)
+    for estimator in (specular.UNIFORM, specular.PAPER, specular.PAPER_LITERAL, specular.PAPER_CODE):
+        cosine = 0.3 if estimator != specular.PAPER_CODE else 1 / 3
         wi, weight = sample_variant(estimator, 2, wo, 0.3, WHITE, 0.3, 0.6)
         assert wi == hemisphere_ring(cosine, 0.6)
         assert weight.x > 0.0
         # From behind the lobe is 0; what the paper's code adds to it is not.
-        rest = cosine if estimator == PAPER_CODE else 0.0
+        rest = cosine if estimator == specular.PAPER_CODE else 0.0
         assert sample_variant(estimator, 2, direction(-0.1), 0.3, WHITE, 0.3, 0.6)[1] == (rest, rest, rest)
 
 

@@ -119,31 +119,21 @@ def variants_run(tmp_path_factory):
             "chain": "paper",
         },
     }
-    results["extrapolations"] = [
-        {
-            "scene": SCENES[0],
-            "variant": "photon-map",
-            "points": [
-                {
-                    "radius": radius,
-                    "error": radius**2,
-                    "low": radius**2 - 0.003,
-                    "high": radius**2 + 0.003,
-                    "classes": {
-                        name: {
-                            "error": part * radius**2,
-                            "low": -0.001,
-                            "high": 0.1,
-                            "pixels": part if radius else None,
-                        }
-                        for name, part in (("interior", 0.7), ("boundary", 0.2), ("leak", 0.1))
-                    },
-                }  # fmt: skip
-                for radius in (0.3, 0.2, 0.1, 0.0)
-            ],
-            "label": "interior",
+
+    def classes(radius: float) -> dict:
+        shares = {"interior": 0.7, "boundary": 0.2, "leak": 0.1}
+        ends = {"low": -0.001, "high": 0.1}
+        return {
+            name: {"error": part * radius**2, **ends, "pixels": part if radius else None}
+            for name, part in shares.items()
         }
+
+    points = [
+        {"radius": r, "error": r**2, "low": r**2 - 0.003, "high": r**2 + 0.003, "classes": classes(r)}
+        for r in (0.3, 0.2, 0.1, 0.0)
     ]
+    found = {"scene": SCENES[0], "variant": "photon-map", "points": points, "label": "interior"}
+    results["extrapolations"] = [found]
     (folder / "results.json").write_text(json.dumps(results), "utf-8")
     page.write(folder)
     return folder
@@ -659,18 +649,9 @@ def test_waterfall_stands_one_part_upon_the_other():
 
 def test_a_sweep_is_of_tiles_of_8_pixels_and_smaller_ones_at_the_border():
     stack = np.random.default_rng(3).random((5, 2, 12, 19, 3)).astype(np.float32)
-    cell = cells.Cell(
-        VARIANTS["ambient"]["cosine"],
-        Limit("ambient"),
-        (1, 2),
-        stack,
-        (),
-        np.ones((5, 2)),
-        dict.fromkeys(COUNTERS, 0),
-        (),
-        0.0,
-        "",
-    )
+    cosine = VARIANTS["ambient"]["cosine"]
+    counts: dict[str, int] = dict.fromkeys(COUNTERS, 0)
+    cell = cells.Cell(cosine, Limit("ambient"), (1, 2), stack, (), np.ones((5, 2)), counts, (), 0.0, "")
     swept = images.sweep(cell)
     assert swept.samples == (1, 2)
     assert swept.mean.shape == swept.variance.shape == (2, 2, 3)

@@ -423,9 +423,9 @@ def test_chains_of_the_paper_share_maps_and_prefixes_keep_their_bits(busy, monke
     monkeypatch.setattr("termwise.renderer.engine._CHAINS_A_MAP", 2)
     intact, numbers = Engine._photons, []
 
-    def counted(engine, variant, chain, stored, key, index, count, scratch):
+    def counted(engine, task, key, index, *rest):
         numbers.append(index)
-        return intact(engine, variant, chain, stored, key, index, count, scratch)
+        return intact(engine, task, key, index, *rest)
 
     monkeypatch.setattr(Engine, "_photons", counted)
     found = renderer.find("specular")

@@ -7,36 +7,11 @@ the light there and nowhere else.
 import numpy as np
 import pytest
 
-from termwise.renderer.vector import (
-    Vec3,
-    add,
-    cross,
-    dot,
-    frame,
-    is_black,
-    length,
-    mad,
-    max_component,
-    mul,
-    negate,
-    normalize,
-    scale,
-    sub,
-    to_local,
-    to_world,
-)
+from termwise.renderer import vector
+from termwise.renderer.vector import Vec3, frame, is_black, length, to_local, to_world
 
-SPECIAL = [
-    (0.0, 0.0, 1.0),
-    (0.0, 0.0, -1.0),
-    (1.0, 0.0, 0.0),
-    (1.0, 0.0, -0.0),
-    (-1.0, 0.0, -0.0),
-    (0.0, 1.0, 0.0),
-    (0.0, -1.0, -0.0),
-    (1e-9, 0.0, -1.0),
-    (0.6, 0.0, -0.8),
-]
+SPECIAL = [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (1.0, 0.0, -0.0), (-1.0, 0.0, -0.0), (0.0, 1.0, 0.0)]
+SPECIAL += [(0.0, -1.0, -0.0), (1e-9, 0.0, -1.0), (0.6, 0.0, -0.8)]
 
 
 def unit_vectors(count: int) -> np.ndarray:
@@ -69,17 +44,17 @@ def test_arithmetic_is_that_of_numpy():
     rng = np.random.default_rng(3)
     for a, b in rng.normal(size=(20, 2, 3)):
         u, v, s = Vec3(*a.tolist()), Vec3(*b.tolist()), float(a[0] + 2.0)
-        np.testing.assert_array_equal(add(u, v), a + b)
-        np.testing.assert_array_equal(sub(u, v), a - b)
-        np.testing.assert_array_equal(mul(u, v), a * b)
-        np.testing.assert_array_equal(scale(u, s), a * s)
-        np.testing.assert_array_equal(negate(u), -a)
-        np.testing.assert_allclose(mad(u, s, v), a * s + b, rtol=1e-15, atol=1e-15)
-        np.testing.assert_allclose(cross(u, v), np.cross(a, b), rtol=1e-13, atol=1e-15)
-        assert dot(u, v) == pytest.approx(a @ b, rel=1e-13, abs=1e-15)
+        np.testing.assert_array_equal(vector.add(u, v), a + b)
+        np.testing.assert_array_equal(vector.sub(u, v), a - b)
+        np.testing.assert_array_equal(vector.mul(u, v), a * b)
+        np.testing.assert_array_equal(vector.scale(u, s), a * s)
+        np.testing.assert_array_equal(vector.negate(u), -a)
+        np.testing.assert_allclose(vector.mad(u, s, v), a * s + b, rtol=1e-15, atol=1e-15)
+        np.testing.assert_allclose(vector.cross(u, v), np.cross(a, b), rtol=1e-13, atol=1e-15)
+        assert vector.dot(u, v) == pytest.approx(a @ b, rel=1e-13, abs=1e-15)
         assert length(u) == pytest.approx(np.linalg.norm(a), rel=1e-15)
-        assert length(normalize(u)) == pytest.approx(1.0, rel=1e-15)
-        assert max_component(u) == a.max()
+        assert length(vector.normalize(u)) == pytest.approx(1.0, rel=1e-15)
+        assert vector.max_component(u) == a.max()
 
 
 def test_black_means_all_zero():
