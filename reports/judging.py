@@ -42,17 +42,13 @@ def judge(
     ----------
     images, reference, exact, noiseless, names, reference_names
         As for `reports.statistics.verdict.judge`.
-    folder : Path
-        Gets `results.json`, `results.nc` and `images.exr`; made if missing.
-    exposure : float, optional
-        Factor on the radiance in pictures; by default the mean of the reference is shown as middle grey.
-    command : str
-        What was asked for, to stand on the page.
+    folder : gets `results.json`, `results.nc` and `images.exr`; made if missing.
+    exposure : factor on the radiance in pictures; by default the mean of the reference is shown as middle grey.
+    command : what was asked for, to stand on the page.
 
     Returns
     -------
-    dict
-        What `results.json` holds.
+    What `results.json` holds.
 
     Raises
     ------

@@ -101,8 +101,7 @@ def measure(
 
     Returns
     -------
-    dict
-        What `results.json` holds.
+    What `results.json` holds.
     """
     desk = Desk(study, cache_folder(), executor=executor, report=report)
     try:

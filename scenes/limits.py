@@ -63,25 +63,18 @@ class Limit:
 
     Attributes
     ----------
-    term : Term
-        The term.
-    occluded : bool
-        Whether geometry hides the ambient light; without, AO is 1.
+    term : the term.
+    occluded : whether geometry hides the ambient light; without, AO is 1.
     scope : "first-hit" | "all" | None
         Which irradiance `direct` means, here or at the vertices of a specular chain. None for the
         terms in which no irradiance occurs.
-    factor : float
-        Constant factor on the whole image (ambient `paper`: pi).
-    lobe : float
-        Factor on the specular lobe at every vertex of the chain (specular `paper`: 4/pi).
-    diffuse : float
-        Albedo of a white Lambertian lobe beside it (specular `paper-code`: 1/2).
+    factor : constant factor on the whole image (ambient `paper`: pi).
+    lobe : factor on the specular lobe at every vertex of the chain (specular `paper`: 4/pi).
+    diffuse : albedo of a white Lambertian lobe beside it (specular `paper-code`: 1/2).
     cosine : "incident" | "outgoing"
         Which cosine the specular lobe is multiplied by: mu_i, or mu_o in its place (specular `paper-literal`).
-    ambient : float
-        Factor on the ambient light that a specular chain meets.
-    rings : int or None
-        N of the paper's rule over the hemisphere, at every vertex; None: the integral.
+    ambient : factor on the ambient light that a specular chain meets.
+    rings : N of the paper's rule over the hemisphere, at every vertex; None: the integral.
     kernel : Kernel or None
         The photon density estimate that E is, in `direct` or at the vertices of a specular chain; None: E itself.
     shadows : "physical" | "paper"

@@ -241,10 +241,8 @@ class Camera:
 
         Parameters
         ----------
-        film : (..., 2) array
-            Positions in [0, 1]²: (0, 0) is the top-left corner, x to the right, y down.
-        aspect : float
-            Width over height.
+        film : (..., 2) array, positions in [0, 1]²: (0, 0) is the top-left corner, x to the right, y down.
+        aspect : width over height.
 
         Returns
         -------

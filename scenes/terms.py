@@ -212,17 +212,12 @@ class TermImage:
 
     Attributes
     ----------
-    mean : (H, W, 3) float64
-        Radiance, linear Rec. 709, in the scene's radiance unit; mean over replicates.
-    variance : (H, W, 3) float64
-        Variance of `mean`, estimated from independent replicates; NaN with a single replicate,
-        because low-discrepancy samples inside one replicate are not independent.
-    samples : int
-        Samples per pixel and replicate.
-    replicates : int
-        Independent replicates (own seed each, own photon maps) behind `mean`.
-    seconds : float
-        Wall-clock seconds, compilation excluded.
+    mean : (H, W, 3) float64, radiance, linear Rec. 709, in the scene's radiance unit; mean over replicates.
+    variance : (H, W, 3) float64, variance of `mean`, estimated from independent replicates; NaN with a single
+        replicate, because low-discrepancy samples inside one replicate are not independent.
+    samples : samples per pixel and replicate.
+    replicates : independent replicates (own seed each, own photon maps) behind `mean`.
+    seconds : wall-clock seconds, compilation excluded.
     """
 
     mean: np.ndarray

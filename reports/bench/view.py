@@ -38,10 +38,9 @@ def measure(
 
     Returns
     -------
-    dict
-        cases: scene, input, median, least and greatest seconds, the median of the processor's seconds of all threads,
-        which other work on the machine hardly changes, and how many of the pictures were previews. memory: see `held`.
-        machine: `load_end` is the load when all was done.
+    cases: scene, input, median, least and greatest seconds, the median of the processor's seconds of all threads, which
+    other work on the machine hardly changes, and how many of the pictures were previews. memory: see `held`. machine:
+    `load_end` is the load when all was done.
     """
     common.known("scene", scenes, SCENES)
     common.positive(changes=changes, memory_changes=memory_changes, resolution=resolution)
@@ -101,8 +100,7 @@ def held(name: str, *, changes: int, threads: int | None, report: Callable[[str,
 
     Returns
     -------
-    dict
-        scene, resolution; changes and megabytes: two of each.
+    scene, resolution; changes and megabytes: two of each.
     """
     state = State(attrs.evolve(load(name), resolution=(SIDE, SIDE)), samples=1)
     moved = _inputs(state)

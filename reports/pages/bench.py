@@ -17,8 +17,7 @@ def write(folder: Path) -> Path:
 
     Returns
     -------
-    Path
-        The `index.html`.
+    The `index.html`.
 
     Raises
     ------

@@ -29,8 +29,7 @@ def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | Non
 
     Returns
     -------
-    dict or None
-        None where no variant has two points.
+    None where no variant has two points.
     """
     curves = {name: [row for row in rows if row["rmse"]] for name, rows in curves.items()}
     curves = {name: rows for name, rows in curves.items() if len(rows) > 1}

@@ -19,8 +19,7 @@ def write(found: dict[str, Any], folder: Path) -> Path:
 
     Returns
     -------
-    Path
-        The `index.html`.
+    The `index.html`.
     """
     text = json.dumps(found, indent=1, allow_nan=False)
     write_atomically(folder / "diff.json", lambda path: path.write_text(text, "utf-8"))

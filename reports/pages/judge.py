@@ -18,13 +18,11 @@ def write(folder: Path) -> Path:
 
     Parameters
     ----------
-    folder : Path
-        Holds `results.json` and `results.nc`, as `reports.judging.judge` writes them.
+    folder : holds `results.json` and `results.nc`, as `reports.judging.judge` writes them.
 
     Returns
     -------
-    Path
-        The `index.html`.
+    The `index.html`.
 
     Raises
     ------

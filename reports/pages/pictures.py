@@ -111,10 +111,8 @@ def p_map(
     ----------
     p, holm, benjamini_hochberg, bias : (rows, columns) float
         As in `reports.statistics.tiles.TileMap`; only the sign of the bias is shown.
-    side : int
-        Of a tile, in pixels of the image.
-    size : (int, int)
-        H and W of the image; it is shown at a whole multiple of them.
+    side : of a tile, in pixels of the image.
+    size : (int, int), H and W of the image; it is shown at a whole multiple of them.
     """
     grey = np.where(np.isfinite(p), GREYS[0] + (GREYS[1] - GREYS[0]) * np.nan_to_num(p), NOTHING)
     surely = np.log(np.maximum(benjamini_hochberg, SURE) / LEVEL) / np.log(SURE / LEVEL)

@@ -38,14 +38,12 @@ def write(run: Path, *, report: Report = silent) -> Path:
 
     Parameters
     ----------
-    run : Path
-        A folder that holds `results.json` and `results.nc`.
+    run : a folder that holds `results.json` and `results.nc`.
     report : called with (what, done, of all) as pages come in.
 
     Returns
     -------
-    Path
-        The `index.html`, written last: where it exists, all it links to does.
+    The `index.html`, written last: where it exists, all it links to does.
 
     Raises
     ------

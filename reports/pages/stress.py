@@ -21,8 +21,7 @@ def write(folder: Path) -> Path:
 
     Returns
     -------
-    Path
-        The `index.html`.
+    The `index.html`.
 
     Raises
     ------

@@ -51,16 +51,14 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
 
     Parameters
     ----------
-    run : Path
-        A folder that holds `results.nc`.
+    run : a folder that holds `results.nc`.
     scene
         With `name`, `described` and `row(term, variant, against)`.
 
     Returns
     -------
-    dict or None
-        `terms`: for each the variants, each with its image's key and, by name, the references' keys; `scales`: the
-        ends ±q of the maps by term and reference, shared by its variants, q the quantile of the static pictures.
+    `terms`: for each the variants, each with its image's key and, by name, the references' keys; `scales`: the ends ±q
+    of the maps by term and reference, shared by its variants, q the quantile of the static pictures.
     """
     dataset = scene.dataset(run)
     if not dataset.sizes["cell"]:

@@ -80,14 +80,13 @@ def diff(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `settings`: differences, each with name, before, after. `rows`: scene, term, variant; `verdict`: before, after,
-        finding; each of MEASURES: before, after, change with its 90 % interval (of a bias the difference, else the
-        ratio minus 1), adjusted p and finding, or None where it is not tested. A finding is one of FINDINGS or "";
-        that of the row is the gravest. `only_before`, `only_after`: rows of one run. `failed`: scenes that failed,
-        with the error in each run. `untested`: why a measure is not. `tests`, `level`, `tolerated`: of the tests.
-        `time_median`: median over rows of the ratio of seconds. `worse`, `better`: how many rows have such a finding;
-        `any_worse`: also where a scene fails in the second run alone.
+    `settings`: differences, each with name, before, after. `rows`: scene, term, variant; `verdict`: before, after,
+    finding; each of MEASURES: before, after, change with its 90 % interval (of a bias the difference, else the ratio
+    minus 1), adjusted p and finding, or None where it is not tested. A finding is one of FINDINGS or ""; that of the
+    row is the gravest. `only_before`, `only_after`: rows of one run. `failed`: scenes that failed, with the error in
+    each run. `untested`: why a measure is not. `tests`, `level`, `tolerated`: of the tests. `time_median`: median over
+    rows of the ratio of seconds. `worse`, `better`: how many rows have such a finding; `any_worse`: also where a scene
+    fails in the second run alone.
     """
     old, new = _rows(before), _rows(after)
     pairs = {key: (old[key], new[key]) for key in old if key in new}

@@ -20,8 +20,7 @@ def read(run: Path) -> dict[str, Any]:
 
     Parameters
     ----------
-    run : Path
-        The file, or the folder that holds it.
+    run : the file, or the folder that holds it.
 
     Raises
     ------

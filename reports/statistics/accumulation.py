@@ -38,42 +38,26 @@ class Statistics:
 
     Attributes
     ----------
-    replicates, reference_replicates : int
-        K and R.
-    exact : bool
-        The reference is one image, taken as noise-free.
+    replicates, reference_replicates : K and R.
+    exact : the reference is one image, taken as noise-free.
     height, width : int
-    absent : bool
-        Both sides are exactly 0 everywhere.
-    reference_is_zero : bool
-        The reference is exactly 0 everywhere.
-    term_mean : float
-        Luminance mean of the reference in radiance, or the fallback where the reference is 0.
-    region_names : tuple of str
-        "image", then each object present.
-    regions : Comparison of (regions, 3)
-        Means per region and channel, relative to the reference's mean there or to 10 % of `term_mean`
-        where that is larger.
-    luminance : Comparison of ()
-        The image's luminance, relative to `term_mean`.
-    tiles : dict of int to Comparison
-        Luminance per tile of 8, 16 and 32 px, (ceil(H/side), ceil(W/side)), relative to the larger of
-        the tile's reference mean and `term_mean`.
-    channel_tiles : dict of int to Comparison
-        The same per channel, (3, ceil(H/side), ceil(W/side)).
-    tile_skewness : dict of int to float
-        Of the luminance of a tile over the replicates, bias-corrected: median over the tiles that vary, of
+    absent : both sides are exactly 0 everywhere.
+    reference_is_zero : the reference is exactly 0 everywhere.
+    term_mean : luminance mean of the reference in radiance, or the fallback where the reference is 0.
+    region_names : "image", then each object present.
+    regions : Comparison of (regions, 3), means per region and channel, relative to the reference's mean there or to 10
+        % of `term_mean` where that is larger.
+    luminance : Comparison of (), the image's luminance, relative to `term_mean`.
+    tiles : luminance per tile of 8, 16 and 32 px, (ceil(H/side), ceil(W/side)), relative to the larger of the tile's
+        reference mean and `term_mean`.
+    channel_tiles : the same per channel, (3, ceil(H/side), ceil(W/side)).
+    tile_skewness : of the luminance of a tile over the replicates, bias-corrected: median over the tiles that vary, of
         the side where it is larger; 0 where no tile varies.
-    mean_square : dict of int to Estimate
-        θ of luminance over blocks of 2 and 8 px relative to `term_mean`².
-    bias_squared : Estimate
-        θ over pixels and channels, in radiance².
-    variance, reference_variance : float
-        Of one replicate, mean over pixels and channels, in radiance².
-    non_finite, negative : int
-        Values of ours that are NaN, infinite (or beyond float32), or negative.
-    invalid : tuple of InvalidPixel
-        The first of them.
+    mean_square : θ of luminance over blocks of 2 and 8 px relative to `term_mean`².
+    bias_squared : θ over pixels and channels, in radiance².
+    variance, reference_variance : of one replicate, mean over pixels and channels, in radiance².
+    non_finite, negative : values of ours that are NaN, infinite (or beyond float32), or negative.
+    invalid : the first of them.
     warnings : tuple of str
     """
 
@@ -133,23 +117,18 @@ def measure(
         Replicates of the reference in the same unit; R = 1 with `exact`.
     objects : (H, W) integer, optional
         Object index per pixel, -1 for none; each object present is judged on its own too.
-    object_names : sequence of str
-        Name of the object of each index.
-    scale : float, optional
-        Radiance that stands for the term's mean where the reference is 0 everywhere: the mean of the
-        total. Without it, ours' own mean.
-    exact : bool
-        The one reference image has no noise.
+    object_names : name of the object of each index.
+    scale : radiance that stands for the term's mean where the reference is 0 everywhere: the mean of the total. Without
+        it, ours' own mean.
+    exact : the one reference image has no noise.
     noiseless : bool
         Ours may be free of noise: where all its replicates are the same image that is a warning, not equal seeds.
-    names, reference_names : sequence of str
-        What the replicates are called in messages, say their files.
+    names, reference_names : what the replicates are called in messages, say their files.
 
     Returns
     -------
-    Statistics
-        Invalid values of ours (NaN, infinite) are counted there and replaced by the reference's mean, so
-        that the rest can still be measured.
+    Invalid values of ours (NaN, infinite) are counted there and replaced by the reference's mean, so that the rest can
+    still be measured.
 
     Raises
     ------
@@ -228,16 +207,13 @@ class _Sums:
 
     Attributes
     ----------
-    sizes : tuple of int
-        Replicates of ours, which come first, and of the reference; n in all.
+    sizes : replicates of ours, which come first, and of the reference; n in all.
     pixel_products, block_products : (n, n) float64
         Of the replicates' distances from their mean: over pixels and channels, and of luminance over blocks of 2 px.
-    reference_square : float
-        Sum of the squares of the reference's luminance.
+    reference_square : sum of the squares of the reference's luminance.
     regions, areas : (regions, n, 3) and (regions,) float64
         Sums over the image and each object present, and their pixels.
-    brightest : float
-        The largest value.
+    brightest : the largest value.
     """
 
     def __init__(self, sizes: tuple[int, int], objects: np.ndarray | None) -> None:

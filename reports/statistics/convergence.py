@@ -34,18 +34,12 @@ class Convergence:
     Attributes
     ----------
     samples : (P,) float64
-    seconds : (P,) float64 or None
-        Time that each prefix takes.
-    rmse, rmse_low, rmse_high : (P,) float64
-        Of one replicate against the reference's limit, in radiance; 90 % band.
-    slope : Estimate or None
-        a; None where the error is not proven to fall.
-    floor : Estimate
-        b² in radiance²; may be negative.
-    scale : Estimate
-        c in radiance², the error above the floor at the first prefix: `MSE = b² + c (N/N_1)^-a`.
-    cause : str
-        What the shape of the curve says.
+    seconds : (P,) float64 or None, time that each prefix takes.
+    rmse, rmse_low, rmse_high : (P,) float64, of one replicate against the reference's limit, in radiance; 90 % band.
+    slope : Estimate or None, a; None where the error is not proven to fall.
+    floor : b² in radiance²; may be negative.
+    scale : c in radiance², the error above the floor at the first prefix: `MSE = b² + c (N/N_1)^-a`.
+    cause : what the shape of the curve says.
     """
 
     samples: np.ndarray
@@ -72,10 +66,8 @@ def mean_square_error(ours: np.ndarray, reference: np.ndarray) -> Estimate:
 
     Parameters
     ----------
-    ours : (K, H, W, 3) floating
-        Replicates at one prefix, read by bands.
-    reference : (R, H, W, 3) floating
-        R = 1 is taken as exact.
+    ours : (K, H, W, 3) floating, replicates at one prefix, read by bands.
+    reference : (R, H, W, 3) floating, R = 1 is taken as exact.
     """
     return gram(ours, reference).estimate(np.array([[1.0, -1.0], [-1.0, 1.0]]), (1.0, 0.0))
 
@@ -85,8 +77,7 @@ def relative_error(ours: np.ndarray, reference: np.ndarray, *, where: np.ndarray
 
     Parameters
     ----------
-    ours, reference : (K, H, W, 3) and (R, H, W, 3) floating
-        Replicates; the mean of the reference is not 0.
+    ours, reference : (K, H, W, 3) and (R, H, W, 3) floating, replicates; the mean of the reference is not 0.
     where : (H, W) bool, optional
         The error of these pixels alone, as a share of the same mean: those of the parts of an image add up to its own.
     """
@@ -115,14 +106,11 @@ def fit(
 
     Parameters
     ----------
-    samples : (P,), increasing
-        Samples of each prefix, powers of two; P ≥ 4.
+    samples : (P,), increasing, samples of each prefix, powers of two; P ≥ 4.
     errors : P estimates
         `mean_square_error` of each prefix, of the same replicates in the same order.
-    seconds : (P,), optional
-        Time that each prefix takes.
-    bias_squared : Estimate, optional
-        Debiased bias² at the largest prefix (`Statistics.bias_squared`). It tells a floor made by bias from
+    seconds : (P,), optional, time that each prefix takes.
+    bias_squared : debiased bias² at the largest prefix (`Statistics.bias_squared`). It tells a floor made by bias from
         one made by noise that no longer falls.
 
     Raises

@@ -26,10 +26,8 @@ class Estimate:
     Attributes
     ----------
     value : float
-    leave_one_out : tuple of (n_g,) float64
-        The number without one replicate, for each group that has more than one.
-    floor : float
-        Added to the standard error in quadrature.
+    leave_one_out : tuple of (n_g,) float64, the number without one replicate, for each group that has more than one.
+    floor : added to the standard error in quadrature.
     """
 
     value: float
@@ -62,11 +60,9 @@ class Gram:
 
     Attributes
     ----------
-    matrix : (N, N) float64
-        Mean over pixels of the products, N the sum of `sizes`. Subtract a common image from all
+    matrix : (N, N) float64, mean over pixels of the products, N the sum of `sizes`. Subtract a common image from all
         replicates first: the differences estimated here do not change, their rounding error does.
-    sizes : tuple of int
-        Replicates per group, in the order of the matrix. A group of one is exact, without noise.
+    sizes : replicates per group, in the order of the matrix. A group of one is exact, without noise.
     """
 
     matrix: np.ndarray

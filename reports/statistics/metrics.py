@@ -26,8 +26,7 @@ def rmse(reference: np.ndarray, image: np.ndarray) -> float:
 
     Parameters
     ----------
-    reference, image : (..., ) float, equal shapes
-        Linear radiance, finite. Accumulated in float64.
+    reference, image : (..., ) float, equal shapes, linear radiance, finite. Accumulated in float64.
 
     Raises
     ------
@@ -43,11 +42,9 @@ def relative_mse(reference: np.ndarray, image: np.ndarray, *, epsilon: float | N
 
     Parameters
     ----------
-    reference, image : (..., ) float, equal shapes
-        Linear radiance, finite. Accumulated in float64.
-    epsilon : float, optional
-        In radiance²; keeps dark pixels from deciding. By default `(mean(R)/10)²`, so that the result
-        does not depend on the unit of radiance (a fixed 0.01, the usual choice, hides errors of dim images).
+    reference, image : (..., ) float, equal shapes, linear radiance, finite. Accumulated in float64.
+    epsilon : in radiance²; keeps dark pixels from deciding. By default `(mean(R)/10)²`, so that the result does not
+        depend on the unit of radiance (a fixed 0.01, the usual choice, hides errors of dim images).
 
     Raises
     ------
@@ -72,10 +69,8 @@ def ssim(reference: np.ndarray, image: np.ndarray, *, exposure: float) -> float:
 
     Parameters
     ----------
-    reference, image : (H, W, 3) float, H and W ≥ 11
-        Linear Rec. 709 radiance, finite.
-    exposure : float
-        Positive factor on the radiance, fixed per scene: never derived from the images compared.
+    reference, image : (H, W, 3) float, H and W ≥ 11, linear Rec. 709 radiance, finite.
+    exposure : positive factor on the radiance, fixed per scene: never derived from the images compared.
 
     Raises
     ------

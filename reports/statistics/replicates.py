@@ -103,10 +103,8 @@ class Invalid:
 
     Attributes
     ----------
-    non_finite, negative : int
-        Values that are NaN, infinite (or beyond float32), or negative.
-    first : list of InvalidPixel
-        The first of each band.
+    non_finite, negative : values that are NaN, infinite (or beyond float32), or negative.
+    first : the first of each band.
     """
 
     def __init__(self, labels: Sequence[str], count: int) -> None:

@@ -64,28 +64,19 @@ def decide(
     Parameters
     ----------
     statistics : Statistics
-    tests : int
-        Tests of all judged rows of the run; each test is made at 5 % over it.
-    looks : int
-        How often the row may be decided, each time with more replicates (see `reports.statistics.sequential`): each
+    tests : tests of all judged rows of the run; each test is made at 5 % over it.
+    looks : how often the row may be decided, each time with more replicates (see `reports.statistics.sequential`): each
         look spends an equal share of the level, for BIASED and for EQUIVALENT.
-    kind : "right" or "wrong"
-        A wrong variant is (NOT) AS PREDICTED by its own limit.
-    allowance : float
-        Relative bias that the row is known to have; added to what is tolerated and to the margin.
-    margin : float
-        Relative; see `margin_of`.
+    kind : a wrong variant is (NOT) AS PREDICTED by its own limit.
+    allowance : relative bias that the row is known to have; added to what is tolerated and to the margin.
+    margin : relative; see `margin_of`.
     kernel : bool
         A kernel-based row against anything but its kernel reference: only its means are judged; the rest is a warning.
-    judged : bool
-        False for rows that measure a known difference (prefixes, against `correct` or `physical`): the
-        verdict, and all at the family's level, is None.
-    predicted_bias : float, optional
-        Relative; named by the sentence of a row that is not judged.
-    samples, seconds : optional
-        What this row took, to be scaled to what it would take.
-    reason : str
-        Why a term is absent, say the skip that the plan made.
+    judged : false for rows that measure a known difference (prefixes, against `correct` or `physical`): the verdict,
+        and all at the family's level, is None.
+    predicted_bias : relative; named by the sentence of a row that is not judged.
+    samples, seconds : what this row took, to be scaled to what it would take.
+    reason : why a term is absent, say the skip that the plan made.
 
     Raises
     ------
@@ -171,22 +162,17 @@ def judge(
     ----------
     images, reference : (K, H, W, 3) and (R, H, W, 3) floating, or sequences of (H, W, 3) Independent replicates (own
         seed each), linear radiance in one unit. With `exact`, `reference` may be a single (H, W, 3) image.
-    exact : bool
-        The reference has no noise.
-    noiseless : bool
-        The images may have no noise. Nothing is known of the seeds here, so replicates that are all the same
+    exact : the reference has no noise.
+    noiseless : the images may have no noise. Nothing is known of the seeds here, so replicates that are all the same
         image are refused without it.
-    names, reference_names : sequence of str
-        What the replicates are called in warnings and messages; by default their numbers.
+    names, reference_names : what the replicates are called in warnings and messages; by default their numbers.
     objects : (H, W) integer, optional
         Index of the object that each pixel sees, -1 for none; each object is judged on its own too.
-    object_names : sequence of str
-        Names of those objects, by index.
+    object_names : names of those objects, by index.
 
     Returns
     -------
-    Verdict
-        The verdict, its sentence, and the numbers behind it.
+    The verdict, its sentence, and the numbers behind it.
 
     Raises
     ------

@@ -11,16 +11,11 @@ def sentence(verdict: Verdict, statistics: Statistics, *, kernel: bool, tolerate
 
     Parameters
     ----------
-    verdict : Verdict
-        All of it but its sentence.
-    statistics : Statistics
-        Of the same row.
-    kernel : bool
-        Only its means were judged.
-    tolerated : float
-        Relative bias of a mean that is no error.
-    needed : float or None
-        Times the samples that make an unbiased row EQUIVALENT; None where no samples will do.
+    verdict : all of it but its sentence.
+    statistics : of the same row.
+    kernel : only its means were judged.
+    tolerated : relative bias of a mean that is no error.
+    needed : times the samples that make an unbiased row EQUIVALENT; None where no samples will do.
     """
     outside = OUTSIDE / verdict.looks
     bias = f"{percent(verdict.bias)} [{percent(verdict.bias_low)}, {percent(verdict.bias_high)}]"

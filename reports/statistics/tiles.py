@@ -42,22 +42,14 @@ class TileMap:
 
     Attributes
     ----------
-    side : int
-        In pixels; tiles at the right and lower border may be smaller.
-    height, width : int
-        Of the image.
-    skewness : float
-        Median over the tiles.
-    merged_into : int or None
-        The side of the tiles that stand for these, all of whose values are NaN then.
-    bias : (rows, columns) float64
-        Of luminance, relative to the larger of the tile's and the image's mean.
-    p : (rows, columns) float64
-        Of no bias in luminance; NaN where all replicates of both sides are the same number.
-    holm, benjamini_hochberg : (rows, columns) float64
-        Adjusted p, at most 1.
-    channels : (3, rows, columns) float64
-        p of each channel, adjusted by Holm over all channels of all tiles.
+    side : in pixels; tiles at the right and lower border may be smaller.
+    height, width : of the image.
+    skewness : median over the tiles.
+    merged_into : the side of the tiles that stand for these, all of whose values are NaN then.
+    bias : (rows, columns) float64, of luminance, relative to the larger of the tile's and the image's mean.
+    p : (rows, columns) float64, of no bias in luminance; NaN where all replicates of both sides are the same number.
+    holm, benjamini_hochberg : (rows, columns) float64, adjusted p, at most 1.
+    channels : (3, rows, columns) float64, p of each channel, adjusted by Holm over all channels of all tiles.
     noiseless : (rows, columns) bool
         Neither side varies: p is that of the rounding floor, and left out of the histogram.
     """
@@ -136,11 +128,10 @@ def summary(maps: dict[int, TileMap]) -> list[dict[str, Any]]:
 
     Returns
     -------
-    list of dict
-        `side`, `tiles`, `tested`; `holm` and `benjamini_hochberg`: tiles found; `fraction`: the latter of those
-        tested; `found`: the surest that Holm finds, with `bias`, adjusted `p` and `channels`; `histogram`: counts of
-        p, `left_out` of it where neither side varies; `uniform_p` of the Kolmogorov-Smirnov test that p is uniform,
-        None without p; `skewness`; `merged_into`, the side of the tiles that stand for these, or None.
+    `side`, `tiles`, `tested`; `holm` and `benjamini_hochberg`: tiles found; `fraction`: the latter of those tested;
+    `found`: the surest that Holm finds, with `bias`, adjusted `p` and `channels`; `histogram`: counts of p, `left_out`
+    of it where neither side varies; `uniform_p` of the Kolmogorov-Smirnov test that p is uniform, None without p;
+    `skewness`; `merged_into`, the side of the tiles that stand for these, or None.
     """
     return [_summary(each) for each in maps.values()]
 

@@ -48,27 +48,18 @@ class Verdict:
 
     Attributes
     ----------
-    verdict : str or None
-        ABSENT, BIASED, EQUIVALENT, UNDERPOWERED, NOT AS PREDICTED, AS PREDICTED; None if not judged. A run says
+    verdict : ABSENT, BIASED, EQUIVALENT, UNDERPOWERED, NOT AS PREDICTED, AS PREDICTED; None if not judged. A run says
         NO VERDICT where the reference failed its audit, see `reports.study.audits`.
-    sentence : str
-        What was tested, what was found and what is not excluded.
-    reasons : tuple of str
-        Why it is BIASED, the gravest first, or why not EQUIVALENT.
+    sentence : what was tested, what was found and what is not excluded.
+    reasons : why it is BIASED, the gravest first, or why not EQUIVALENT.
     bias, bias_low, bias_high, standard_error : float
         Of the image's luminance, 90 % interval; with several looks one that holds at 90 % over all of them.
-    family_low, family_high : float or None
-        The same interval at 5 % over `tests` and `looks`.
-    regions : tuple of RegionBias
-        Each channel of the image and of each object: what the mean tests judge.
-    rms_bias, rms_bias_high : float
-        `sign(θ) sqrt(|θ|)` over 8-px tiles and U, its upper bound at 95 %, over all looks.
-    place : str
-        Where the error is proven, else where it is the most likely.
-    tile : tuple of int
-        x, y, width, height of the 16-px tile with the most significant bias.
-    detectable_bias : float or None
-        Smallest bias of the image's noisiest channel found in 80 % of runs.
+    family_low, family_high : the same interval at 5 % over `tests` and `looks`.
+    regions : each channel of the image and of each object: what the mean tests judge.
+    rms_bias, rms_bias_high : `sign(θ) sqrt(|θ|)` over 8-px tiles and U, its upper bound at 95 %, over all looks.
+    place : where the error is proven, else where it is the most likely.
+    tile : x, y, width, height of the 16-px tile with the most significant bias.
+    detectable_bias : smallest bias of the image's noisiest channel found in 80 % of runs.
     samples_to_margin, seconds_to_margin : float or None
         What both sides need, at these K and R, to be found EQUIVALENT in 80 % of runs if unbiased; None
         where not asked for, or where a bias beyond the margin is likely so that no samples will do.

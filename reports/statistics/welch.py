@@ -37,21 +37,14 @@ class Comparison:
 
     Attributes
     ----------
-    ours, reference : float64
-        Means over the place, in radiance.
-    bias, standard_error : float64
-        δ and its floored error, relative to `scale`.
-    scale : float64
-        In radiance.
-    dof : float64
-        Welch-Satterthwaite; K + R - 2 where both variances are 0.
-    noiseless : bool
-        Both variances are 0: left out of p-histograms.
-    unseen : float64
-        Size of δ that one rare event makes if the side that is darker here has missed it, the event being as large as
-        the largest that this side shows anywhere; 0 where it shows none.
-    seen : float64
-        How many such events this side has met here, by its standard error.
+    ours, reference : float64, means over the place, in radiance.
+    bias, standard_error : float64, δ and its floored error, relative to `scale`.
+    scale : float64, in radiance.
+    dof : float64, Welch-Satterthwaite; K + R - 2 where both variances are 0.
+    noiseless : both variances are 0: left out of p-histograms.
+    unseen : float64, size of δ that one rare event makes if the side that is darker here has missed it, the event being
+        as large as the largest that this side shows anywhere; 0 where it shows none.
+    seen : float64, how many such events this side has met here, by its standard error.
     """
 
     ours: np.ndarray

@@ -45,13 +45,10 @@ def classify(geometry: Geometry, faces: np.ndarray, points: np.ndarray, radius: 
 
     Parameters
     ----------
-    geometry : Geometry
-        The triangles of a scene.
-    faces : (...) integer
-        The triangle that each point lies on, -1 for none.
+    geometry : the triangles of a scene.
+    faces : (...) integer, the triangle that each point lies on, -1 for none.
     points : (..., 3) float64
-    radius : float
-        In the unit of the points.
+    radius : in the unit of the points.
 
     Returns
     -------
