@@ -16,27 +16,7 @@ import numpy as np
 import OpenEXR
 import trimesh
 
-from termwise.scenes import strict
-from termwise.scenes.model import (
-    BLACK,
-    Ambient,
-    Camera,
-    Color,
-    Material,
-    Mesh,
-    Object,
-    Photons,
-    PointLight,
-    Scene,
-    Scope,
-    Sky,
-    Toggles,
-    Vector,
-    finite,
-    in_range,
-    non_negative,
-    positive,
-)
+from termwise.scenes import model, strict
 from termwise.scenes.strict import FileError
 
 LIBRARY = Path(__file__).parent / "library"
@@ -47,7 +27,7 @@ def library() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in LIBRARY.glob("*.toml")))
 
 
-def load(scene: str | Path) -> Scene:
+def load(scene: str | Path) -> model.Scene:
     """Load a scene of the library by name, or any scene file by path.
 
     Raises
@@ -71,22 +51,22 @@ class _Placed:
 
     shape: ClassVar[str]
     name: str
-    scale: float = attrs.field(default=1.0, validator=positive)
-    rotation: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
-    translation: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
+    scale: float = attrs.field(default=1.0, validator=model.positive)
+    rotation: model.Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=model.finite)
+    translation: model.Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=model.finite)
     normals: Literal["flat", "smooth"] = "flat"
-    color: Color = Material().color
-    gloss: float = Material().gloss
-    roughness: float = Material().roughness
-    f0: Color = Material().f0
-    emission: Color = attrs.field(default=BLACK, validator=non_negative)
+    color: model.Color = model.Material().color
+    gloss: float = model.Material().gloss
+    roughness: float = model.Material().roughness
+    f0: model.Color = model.Material().f0
+    emission: model.Color = attrs.field(default=model.BLACK, validator=model.non_negative)
 
     def __attrs_post_init__(self) -> None:
         """Check the material where its fields stand in the file."""
         self.material()
 
-    def material(self) -> Material:
-        return Material(self.color, self.gloss, self.roughness, self.f0)
+    def material(self) -> model.Material:
+        return model.Material(self.color, self.gloss, self.roughness, self.f0)
 
     def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (V, 3) and faces (F, 3) before placement."""
@@ -96,14 +76,14 @@ class _Placed:
         """Beginning of a message about this object's geometry."""
         return f"objects: {self.name!r}"
 
-    def build(self, folder: Path) -> Object:
+    def build(self, folder: Path) -> model.Object:
         vertices, faces = self.geometry(folder)
         placed = self.scale * np.asarray(vertices, np.float64) @ self._rotation().T + self.translation
         try:
-            mesh = Mesh.from_arrays(placed, faces, smooth=self.normals == "smooth")
+            mesh = model.Mesh.from_arrays(placed, faces, smooth=self.normals == "smooth")
         except ValueError as error:
             raise ValueError(f"{self.where()}: {error}") from None
-        return Object(self.name, mesh, self.material(), self.emission)
+        return model.Object(self.name, mesh, self.material(), self.emission)
 
     def _rotation(self) -> np.ndarray:
         about_x, about_y, about_z = (math.radians(angle) for angle in self.rotation)
@@ -115,8 +95,8 @@ class _Rectangle(_Placed):
     """A parallelogram; its normal is edges[0] x edges[1]."""
 
     shape: ClassVar[str] = "rectangle"
-    origin: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
-    edges: tuple[Vector, Vector]
+    origin: model.Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=model.finite)
+    edges: tuple[model.Vector, model.Vector]
 
     def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
         corner = np.asarray(self.origin)
@@ -133,7 +113,7 @@ class _Box(_Placed):
     """An axis-aligned box around the origin, normals outwards."""
 
     shape: ClassVar[str] = "box"
-    size: Vector = attrs.field(validator=positive)
+    size: model.Vector = attrs.field(validator=model.positive)
 
     def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
         box = trimesh.creation.box(extents=self.size)
@@ -145,8 +125,8 @@ class _Sphere(_Placed):
     """An icosphere around the origin, vertices on the sphere, normals outwards."""
 
     shape: ClassVar[str] = "sphere"
-    radius: float = attrs.field(default=1.0, validator=positive)
-    subdivisions: int = attrs.field(default=3, validator=in_range(0, 8))
+    radius: float = attrs.field(default=1.0, validator=model.positive)
+    subdivisions: int = attrs.field(default=3, validator=model.in_range(0, 8))
 
     def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
         sphere = trimesh.creation.icosphere(subdivisions=self.subdivisions, radius=self.radius)
@@ -201,10 +181,10 @@ _SHAPES: dict[str, type[_Placed]] = {kind.shape: kind for kind in (_Rectangle, _
 class _SkyFile:
     """A sky as the file says it: a colour or the name of a texture."""
 
-    color: Color | None = None
+    color: model.Color | None = None
     texture: str | None = None
-    center: Vector = Sky().center
-    radius: float = Sky().radius
+    center: model.Vector = model.Sky().center
+    radius: float = model.Sky().radius
     projection: Literal["equal-area", "lat-long"] = "equal-area"
 
     def __attrs_post_init__(self) -> None:
@@ -212,10 +192,10 @@ class _SkyFile:
         if (self.color is None) == (self.texture is None):
             raise ValueError(f"color = {self.color!r}, texture = {self.texture!r}: allowed is one of the two")
 
-    def build(self, folder: Path) -> Sky:
-        placed = Sky(center=self.center, radius=self.radius, projection=self.projection)
+    def build(self, folder: Path) -> model.Sky:
+        placed = model.Sky(center=self.center, radius=self.radius, projection=self.projection)
         if self.texture is None:
-            return attrs.evolve(placed, color=self.color or BLACK)
+            return attrs.evolve(placed, color=self.color or model.BLACK)
         return attrs.evolve(placed, texture=_read_texture(folder, self.texture))
 
 
@@ -239,18 +219,18 @@ def _read_texture(folder: Path, name: str) -> np.ndarray:
 class _SceneFile:
     """The top level of a scene file."""
 
-    camera: Camera
+    camera: model.Camera
     objects: tuple[_Placed, ...] = ()
-    lights: tuple[PointLight, ...] = ()
-    ambient: Ambient = Ambient()
+    lights: tuple[model.PointLight, ...] = ()
+    ambient: model.Ambient = model.Ambient()
     sky: _SkyFile | None = None
-    photons: Photons = Photons()
-    toggles: Toggles = Toggles()
+    photons: model.Photons = model.Photons()
+    toggles: model.Toggles = model.Toggles()
     resolution: tuple[int, int] = (128, 128)
     exposure: float = 1.0
     max_bounces: int = 2
     rings: int = 16
-    scope: Scope = "all"
+    scope: model.Scope = "all"
     shadows: Literal["physical", "paper"] = "physical"
     irradiance: Literal["E / pi", "E"] = "E / pi"
     ignore: Literal["face", "object"] = "face"
@@ -258,11 +238,11 @@ class _SceneFile:
     intersection: Literal["watertight", "paper"] = "watertight"
     draw_lights: bool = False
 
-    def build(self, path: Path) -> Scene:
+    def build(self, path: Path) -> model.Scene:
         fields = attrs.asdict(self, recurse=False)
         fields["objects"] = tuple(item.build(path.parent) for item in self.objects)
-        fields["sky"] = self.sky.build(path.parent) if self.sky else Sky()
-        return Scene(name=path.stem, **fields)
+        fields["sky"] = self.sky.build(path.parent) if self.sky else model.Sky()
+        return model.Scene(name=path.stem, **fields)
 
 
 def _shape(value: Any, _kind: type) -> _Placed:

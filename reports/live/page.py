@@ -43,21 +43,6 @@ GAMMAS = 1.0, 3.0
 # asked every 0.8 of this time whether it is there, and has 0.4 of it to answer: 3 s were too few on a busy machine.
 _GONE_S = 30.0
 
-_STYLE = """
-body { --q-primary: #0b5394 !important } .body--dark { --q-primary: #8dbff2 !important;
---q-negative: #ffb8a1 !important }
-.bg-chosen { background: #0b5394 }
-.q-field__messages { line-height: 1.3 } .inputs { width: 20rem }
-.picture { image-rendering: pixelated; width: 100%; display: block; background: #8883 }
-.picture-frame:focus-visible { outline: 3px solid #5a9bd8; outline-offset: 2px }
-.figures td, .figures th { padding: .15rem .9rem .15rem 0; text-align: left; vertical-align: top; font-size: .85rem }
-.figures { border-collapse: collapse } .figures tr { border-top: 1px solid #8885 }
-.words { font-size: .85rem; margin-top: .5rem } .words p { margin: .3rem 0 }
-.words summary { cursor: pointer; display: list-item }
-@media (max-width: 1000px) {
-.inputs { width: 15rem } .figures td, .figures th { padding-right: .5rem; font-size: .8rem } }
-"""
-
 
 def serve(scene: str, folder: Path, *, port: int | None, browser: bool, announce: Callable[[str], object]) -> None:
     """Serve the page until interrupted.
@@ -171,7 +156,7 @@ class Page:
 
     def _build(self) -> None:
         ui = self.ui
-        ui.add_css(_STYLE)
+        ui.add_css((Path(__file__).parent / "page.css").read_text("utf-8"))
         with ui.row().classes("w-full items-center gap-2"):
             ui.label("Termwise").classes("text-xl").props("role=heading aria-level=1")
             ui.select(list(library()), label="scene", on_change=lambda e: self._load(e.value)).props(

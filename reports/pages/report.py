@@ -91,7 +91,6 @@ def write(run: Path, *, report: Report = silent) -> Path:
         "words": WORDS,
         "terms": TERMS,
         "variants": VARIANTS,
-        "references": method.REFERENCES,
         "rule": verdict,
         "downloads": [
             name
