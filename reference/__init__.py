@@ -49,10 +49,8 @@ def render(
 
     Raises
     ------
-    ValueError
-        `spp` or `replicates` below 1.
-    reference.backend.BackendError
-        Mitsuba cannot run here.
+    ValueError : `spp` or `replicates` below 1.
+    reference.backend.BackendError : Mitsuba cannot run here.
     """
     if replicates < 1:
         raise ValueError(f"replicates = {replicates}: allowed is at least 1")

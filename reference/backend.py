@@ -44,10 +44,8 @@ def choose(requested: str | None = None) -> Backend:
 
     Raises
     ------
-    ValueError
-        The name is none of `VARIANTS`.
-    BackendError
-        The variant that was asked for failed its probe; or no variant can render, for want of libatomic.
+    ValueError : the name is none of `VARIANTS`.
+    BackendError : the variant that was asked for failed its probe; or no variant can render, for want of libatomic.
     """
     source = "backend" if requested else "TERMWISE_BACKEND"
     requested = requested or os.environ.get("TERMWISE_BACKEND") or None

@@ -84,8 +84,7 @@ def export(
 
     Raises
     ------
-    ValueError
-        The folder is not empty.
+    ValueError : the folder is not empty.
     """
     if folder.exists() and any(folder.iterdir()):
         raise ValueError(f"{folder}: exists and is not empty: allowed is a new or empty folder")

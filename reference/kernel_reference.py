@@ -94,9 +94,8 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
 
     Raises
     ------
-    ValueError
-        The term has no photons, the scope is not "all", rays or normals are not Mitsuba's, or a mesh has interpolated
-        normals.
+    ValueError : the term has no photons, the scope is not "all", rays or normals are not Mitsuba's, or a mesh has
+        interpolated normals.
     """
     kernel, description = limit["kernel"], loaded.description
     _check(description, limit)

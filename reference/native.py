@@ -96,8 +96,7 @@ def fetch(*, llvm: bool) -> None:
 
     Raises
     ------
-    FetchError
-        Without apt-get and dpkg, without a network, or where the lists have no LLVM that is new enough.
+    FetchError : without apt-get and dpkg, without a network, or where the lists have no LLVM that is new enough.
     """
     if not (shutil.which("apt-get") and shutil.which("dpkg")):
         raise FetchError("packages are fetched with apt-get and dpkg only, which this system lacks")

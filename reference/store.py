@@ -155,8 +155,7 @@ def kept(
 
     Raises
     ------
-    ValueError
-        One of them is missing or damaged.
+    ValueError : one of them is missing or damaged.
     """
     # One render may serve several terms, each of which is kept by its own name.
     served = attrs.evolve(reference.shared(scene, limit), term=limit.term)

@@ -45,9 +45,8 @@ def render(
 
     Raises
     ------
-    ValueError
-        An unknown term or variant, a count below 1, adaptive counts with photon maps; the message lists what is
-        allowed.
+    ValueError : an unknown term or variant, a count below 1, adaptive counts with photon maps; the message lists what
+        is allowed.
     """
     images = render_terms(
         scene,

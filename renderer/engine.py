@@ -228,8 +228,8 @@ class Engine:
 
         Raises
         ------
-        ValueError
-            `samples` below 1, an option that the variant would ignore, or adaptive counts with a photon map a sample.
+        ValueError : `samples` below 1, an option that the variant would ignore, or adaptive counts with a photon map a
+            sample.
         """
         samples = whole(samples)
         check(self.scene, variant, chain=chain)

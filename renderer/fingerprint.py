@@ -36,8 +36,7 @@ def fingerprint(function: Any) -> str:
 
     Raises
     ------
-    Unknown
-        It reaches a value that has no content of its own.
+    Unknown : It reaches a value that has no content of its own.
     """
     state = hashlib.sha256(f"{sys.version_info[:2]} {np.__version__}".encode())
     _Absorber(state).absorb(function, getattr(function, "__qualname__", "function"))

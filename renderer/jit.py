@@ -93,12 +93,8 @@ def device(function: F) -> F:
     """Compile a function that kernels call; it may not make an array.
 
     It is inlined into the kernel, always: a call that LLVM leaves copies the whole scene, hundreds of words of array
-    descriptors, to the stack. Left to LLVM renders take 1.3 to 2.2 times as long (15 rows: ambient, direct, specular
-    of three scenes), and compile no faster.
-
-    It counts no references: the kernel holds all arrays while it runs. Counted, each call that LLVM does not inline
-    adds to and takes from the count of every array of the scene, atomically, and the threads share these counters:
-    renders on 2 cores then took 1.9 to 3.6 times as long (ambient, direct, specular of three scenes).
+    descriptors, to the stack. It counts no references: the kernel holds all arrays while it runs, and threads would
+    share the counters, which are atomic.
     """
     if cast(Any, config).DISABLE_JIT:
         return _compile(function)
@@ -109,8 +105,7 @@ class _Device:
     """A function that is compiled for kernels alone, and a second time should Python call it.
 
     A call by Python has its arguments taken out of their objects, hundreds of arrays of a scene: compiled with each
-    function that takes a scene, this took more than half of the time (the Cornell box's ambient, direct and specular
-    kernels: 92 s with it, 41 s without).
+    function that takes a scene, this took more than half of the time.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:

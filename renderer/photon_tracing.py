@@ -54,11 +54,7 @@ class Scattering(NamedTuple):
         photon then stands too far (k = 50 of 16384 under a point light: E comes out 1.004 and not k / (k - 1) = 1.020
         times too bright).
     aimed : whether point lights emit into the cone around the scene alone, fewer photons of the same flux: those that
-        are left out meet nothing. On the monkey, whose ground leaves a quarter of its light's sphere, that takes 0.5 to
-        0.7 of the processor time at the same variance (direct and specular, 10 and 50 thousand photons a pass). As many
-        photons in the cone as in the sphere had 0.14 to 0.34 of the variance of direct in 1.3 to 1.9 times the time,
-        and cost specular 1.4 times the time for a tenth of its variance. Not for a search of the k nearest, whose mean
-        depends on how many photons are emitted.
+        are left out meet nothing. Not for a search of the k nearest, whose mean depends on how many are emitted.
     """
 
     survival: float

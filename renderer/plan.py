@@ -84,8 +84,7 @@ def check(scene: Scene, variant: Variant, *, chain: Chain = "next-event") -> Non
 
     Raises
     ------
-    ValueError
-        The message names the field, its value and what is allowed.
+    ValueError : the message names the field, its value and what is allowed.
     """
     if chain not in get_args(Chain):
         raise ValueError(f"chain = {chain!r}: allowed are {', '.join(get_args(Chain))}")

@@ -154,8 +154,7 @@ def replay(
 
     Raises
     ------
-    ValueError
-        A pixel outside of the image, an estimator in Python, and what `Engine.prefixes` refuses.
+    ValueError : a pixel outside of the image, an estimator in Python, and what `Engine.prefixes` refuses.
     """
     if not isinstance(variant.estimator, Compiled):
         raise ValueError(f"{variant.term} {variant.name}: is an estimator in Python: allowed are those of the renderer")

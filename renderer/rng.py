@@ -37,8 +37,7 @@ def root(seed: int, replicate: int) -> np.uint64:
 
     Raises
     ------
-    ValueError
-        `seed` or `replicate` outside [0, 2^64).
+    ValueError : `seed` or `replicate` outside [0, 2^64).
     """
     for name, value in (("seed", seed), ("replicate", replicate)):
         if not 0 <= value < 2**64:

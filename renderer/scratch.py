@@ -35,7 +35,7 @@ class Seen(NamedTuple):
 
 def new_seen(height: int, width: int, hits: int) -> Seen:
     """Make room for so many primary hits of each pixel; none is known yet."""
-    # What a row's primary hits write lies together: ambient's took 21 ns each, and 52 with those of a pixel together.
+    # What a row's primary hits write lies together: with those of a pixel together each takes twice as long.
     shape = height, hits, width
     return Seen(np.zeros((height, width), np.int32), np.empty(shape, np.int32), np.empty((*shape, 5)))
 

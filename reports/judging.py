@@ -52,8 +52,7 @@ def judge(
 
     Raises
     ------
-    ValueError
-        As `reports.statistics.verdict.measure`, or for an exposure that is not positive.
+    ValueError : as `reports.statistics.verdict.measure`, or for an exposure that is not positive.
     """
     if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure = {exposure}: allowed is a number in (0, inf)")

@@ -88,7 +88,7 @@ def measure(
     arguments: dict[str, Any] | None = None,
     executor: Executor | None = None,
 ) -> dict[str, Any]:
-    """Measure and judge a study; write results and images into `folder`.
+    """Measure and judge a study, write results and images into `folder`; returns what `results.json` holds.
 
     Parameters
     ----------
@@ -98,10 +98,6 @@ def measure(
     report : called with (what, done, of all) as replicates come in.
     arguments : what a command names them by: {"study": its name or file, "scenes": {name: name or file}}.
     executor : does the jobs; by default this process does.
-
-    Returns
-    -------
-    What `results.json` holds.
     """
     desk = Desk(study, cache_folder(), executor=executor, report=report)
     try:

@@ -32,8 +32,7 @@ def load(scene: str | Path) -> model.Scene:
 
     Raises
     ------
-    FileError
-        A missing or malformed file, an unknown key, a value out of range, a mesh that is none.
+    FileError : a missing or malformed file, an unknown key, a value out of range, a mesh that is none.
     """
     path = LIBRARY / f"{scene}.toml" if str(scene) in library() else Path(scene)
     if path.suffix != ".toml":

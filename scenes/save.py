@@ -25,8 +25,7 @@ def save(scene: Scene, path: Path) -> None:
 
     Raises
     ------
-    ValueError
-        The name does not end in .toml, or is one that would not be read back.
+    ValueError : the name does not end in .toml, or is one that would not be read back.
     """
     if path.suffix != ".toml" or path.stem.startswith("."):
         raise ValueError(f"{path}: allowed is a name that ends in .toml")

@@ -25,8 +25,7 @@ def read(path: Path, kind: type[T], converter: cattrs.Converter) -> T:
 
     Raises
     ------
-    FileError
-        The file is missing, is not TOML, or holds an unknown key or a value that is not allowed.
+    FileError : the file is missing, is not TOML, or holds an unknown key or a value that is not allowed.
     """
     try:
         description = tomllib.loads(path.read_text("utf-8"))

@@ -10,10 +10,7 @@ A bundle carries the set of rays that met a box down the tree: 8 rays against on
 boxes where one ray is left. It pays because rays that begin near each other go through the same nodes at first.
 
 The planes of both are padded as `wide_traverse` pads boxes, and triangles are tested in float64 by the expressions of
-`intersect_triangle`: faces and distances have the bits of single rays, in whatever company they come. Millions of rays
-a second on one core, singly, in bundles, in packets, with 36, 968, 20 thousand and 991 thousand triangles: camera rays
-24, 26, 53; 18, 26, 40; 8, 14, 16; 7, 8, 9; diffuse rays 19, 27; 8.7, 9.1; 6.8, 7.4; 3.4, 3.4; ambient occlusion 22, 37;
-10, 11; 7.8, 9.6; 4.5, 5.2.
+`intersect_triangle`: faces and distances have the bits of single rays, in whatever company they come.
 """
 
 from typing import NamedTuple

@@ -58,8 +58,7 @@ def register(
 
     Raises
     ------
-    ValueError
-        An unknown term, a name that exists or has other characters, a limit of another term.
+    ValueError : an unknown term, a name that exists or has other characters, a limit of another term.
     """
     table = VARIANTS[find(term).term]
     if name in table:

@@ -144,8 +144,7 @@ class Called:
 
         Raises
         ------
-        Unknown
-            It reaches a value whose content cannot be told.
+        Unknown : It reaches a value whose content cannot be told.
         """
         return fingerprint(self.function) if self.identity is None else self.identity
 
@@ -154,8 +153,7 @@ class Called:
 
         Raises
         ------
-        ValueError
-            An image of another size.
+        ValueError : an image of another size.
         """
         width, height = engine.scene.resolution
         # 63 bits: of those that take a seed many take no more.
@@ -179,8 +177,7 @@ def sent(term: str, name: str, estimator: Estimator) -> bytes:
 
     Raises
     ------
-    ValueError
-        It cannot be pickled; the message names the variant.
+    ValueError : it cannot be pickled; the message names the variant.
     """
     try:
         return pickle.dumps(estimator)

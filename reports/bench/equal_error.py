@@ -112,10 +112,8 @@ def measure(
 
     Raises
     ------
-    ValueError
-        A name or a number that is not allowed.
-    reference.backend.BackendError
-        Mitsuba's `llvm_ad_rgb` cannot run here.
+    ValueError : a name or a number that is not allowed.
+    reference.backend.BackendError : Mitsuba's `llvm_ad_rgb` cannot run here.
     """
     known("scene", scenes, SCENES)
     known("term", terms, TERMS)

@@ -78,8 +78,7 @@ def measure(
 
     Raises
     ------
-    ValueError
-        A name or a number that is not allowed.
+    ValueError : a name or a number that is not allowed.
     """
     known("scene", scenes, SCENES)
     known("reduction", reductions, NAMES)

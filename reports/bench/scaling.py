@@ -136,8 +136,7 @@ def measure(
 
     Raises
     ------
-    ValueError
-        A name or a number that is not allowed.
+    ValueError : a name or a number that is not allowed.
     """
     known("axis", axes, AXES)
     positive(runs=runs, threads=1 if threads is None else threads)

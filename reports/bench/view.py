@@ -164,8 +164,7 @@ class _Frames:
 
         Raises
         ------
-        ValueError
-            Rendering ended with an error.
+        ValueError : rendering ended with an error.
         """
         with self._new:
             self._new.wait_for(lambda: self._last is not None and self._last[0].number == number)

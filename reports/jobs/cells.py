@@ -146,8 +146,7 @@ def read(jobs: Sequence[Replicate], own: Limit, folder: Path, *, compile_seconds
 
     Raises
     ------
-    ValueError
-        One of them is missing or damaged.
+    ValueError : one of them is missing or damaged.
     """
     first = jobs[0]
     width, height = first.scene.resolution

@@ -150,10 +150,8 @@ class Desk:
 
         Raises
         ------
-        Exception
-            That of a job of any other scene.
-        ValueError
-            An estimator that has to be sent to another process and cannot; the message names it.
+        Exception : That of a job of any other scene.
+        ValueError : an estimator that has to be sent to another process and cannot; the message names it.
         """
         unlike = {_name(job): job for job in jobs}
         if self._executor.elsewhere:

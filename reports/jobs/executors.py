@@ -96,8 +96,7 @@ class Worker:
 
         Raises
         ------
-        OSError
-            The cache cannot be written: no other job could do better.
+        OSError : the cache cannot be written: no other job could do better.
         """
         try:
             if isinstance(job, ReferenceReplicate):

@@ -130,8 +130,7 @@ class _Sum:
 
         Raises
         ------
-        Cancelled
-            `cancel` was set; what the step had taken is lost, and the sum cannot go on.
+        Cancelled : `cancel` was set; what the step had taken is lost, and the sum cannot go on.
         """
         self._goal = goal
         try:

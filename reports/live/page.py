@@ -57,8 +57,7 @@ def serve(scene: str, folder: Path, *, port: int | None, browser: bool, announce
 
     Raises
     ------
-    ValueError
-        The port is in use, another page writes into the folder, the scene does not load.
+    ValueError : the port is in use, another page writes into the folder, the scene does not load.
     """
     first = State(load(scene))
     folder.mkdir(parents=True, exist_ok=True)

@@ -91,8 +91,7 @@ def put(state: State, path: Steps, value: Any) -> State:
 
     Raises
     ------
-    ValueError
-        The value is of another type or out of range: the message names field, value and what is allowed.
+    ValueError : the value is of another type or out of range: the message names field, value and what is allowed.
     """
     current = get(state, path)
     if isinstance(current, bool):

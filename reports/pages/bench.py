@@ -13,16 +13,11 @@ NAMES = ("terms", "rays", "scaling", "reductions", "view")
 
 
 def write(folder: Path) -> Path:
-    """Write the page of the benchmarks that a folder holds.
-
-    Returns
-    -------
-    The `index.html`.
+    """Write the page of the benchmarks that a folder holds; returns the `index.html`.
 
     Raises
     ------
-    ValueError
-        None of the files is there, or one is no JSON or of another version.
+    ValueError : none of the files is there, or one is no JSON or of another version.
     """
     found = {name: _read(folder / f"{name}.json") for name in NAMES if (folder / f"{name}.json").is_file()}
     if not found:

@@ -21,15 +21,11 @@ _AXES = (("samples per pixel and replicate", "samples"), ("seconds per replicate
 
 
 def convergence(curves: dict[str, list[dict[str, Any]]]) -> dict[str, Any] | None:
-    """A plotly figure of the variants of a term, ready for JSON.
+    """A plotly figure of the variants of a term, ready for JSON; None where no variant has two points.
 
     Parameters
     ----------
     curves : variant -> its rows against `own`, by increasing samples.
-
-    Returns
-    -------
-    None where no variant has two points.
     """
     curves = {name: [row for row in rows if row["rmse"]] for name, rows in curves.items()}
     curves = {name: rows for name, rows in curves.items() if len(rows) > 1}

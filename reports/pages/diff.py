@@ -10,16 +10,12 @@ from termwise.scenes.store import write_atomically
 
 
 def write(found: dict[str, Any], folder: Path) -> Path:
-    """Write the page and the numbers on it.
+    """Write the page and the numbers on it; returns the `index.html`.
 
     Parameters
     ----------
     found : of `reports.results.diff.diff`, with the `runs` that were compared and the `command`.
     folder : made if missing.
-
-    Returns
-    -------
-    The `index.html`.
     """
     text = json.dumps(found, indent=1, allow_nan=False)
     write_atomically(folder / "diff.json", lambda path: path.write_text(text, "utf-8"))

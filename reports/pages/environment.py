@@ -2,9 +2,9 @@
 
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jinja2
 import numpy as np
@@ -19,6 +19,7 @@ from termwise.reports.statistics.replicates import TILE_SIDES
 from termwise.scenes.store import write_atomically
 
 _HERE = Path(__file__).parent
+T = TypeVar("T")
 
 WORDS = {
     "BIASED": ("bad", "✕"),
@@ -44,6 +45,14 @@ def p_maps(dataset: xarray.Dataset, name: str, picture: Callable[[str, np.ndarra
             address = picture(f"{name} p-map {side}", pixels)
             drawn[side] = {"address": address, "height": pixels.shape[0], "width": pixels.shape[1]}
     return drawn
+
+
+def grouped(items: Iterable[T], key: Callable[[T], Any]) -> dict[Any, list[T]]:
+    """Items by their key, both in the order in which they come."""
+    found: dict[Any, list[T]] = {}
+    for item in items:
+        found.setdefault(key(item), []).append(item)
+    return found
 
 
 def word(row: dict[str, Any] | None) -> str:

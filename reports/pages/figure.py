@@ -68,8 +68,8 @@ def write(results: dict[str, Any], *, scene: str, term: str, kind: Kind, path: P
 
     Raises
     ------
-    ValueError
-        Another ending, no such scene or term in the run, or nothing to draw; the message lists what is allowed.
+    ValueError : Another ending, no such scene or term in the run, or nothing to draw; the message lists what is
+        allowed.
     """
     if path.suffix not in FORMATS:
         raise ValueError(f"{path}: allowed is a name that ends in {' or '.join(FORMATS)}")

@@ -14,20 +14,15 @@ from termwise.reports.statistics import verdict
 
 
 def write(folder: Path) -> Path:
-    """Write the page of what was judged.
+    """Write the page of what was judged; returns the `index.html`.
 
     Parameters
     ----------
     folder : holds `results.json` and `results.nc`, as `reports.judging.judge` writes them.
 
-    Returns
-    -------
-    The `index.html`.
-
     Raises
     ------
-    FileNotFoundError
-        If one of the two files is missing.
+    FileNotFoundError : if one of the two files is missing.
     """
     results = json.loads((folder / "results.json").read_text("utf-8"))
     with xarray.open_dataset(folder / "results.nc", engine="h5netcdf") as opened:

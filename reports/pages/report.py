@@ -16,7 +16,16 @@ import xarray
 
 from termwise.renderer.terms import VARIANTS
 from termwise.reports.pages import charts, method, pictures, viewer
-from termwise.reports.pages.environment import WORDS, copy_static, p_maps, page_environment, render_page, slug, word
+from termwise.reports.pages.environment import (
+    WORDS,
+    copy_static,
+    grouped,
+    p_maps,
+    page_environment,
+    render_page,
+    slug,
+    word,
+)
 from termwise.reports.progress import Report, silent
 from termwise.reports.results import microscope, provenance, table
 from termwise.reports.results import schema as stored
@@ -47,8 +56,7 @@ def write(run: Path, *, report: Report = silent) -> Path:
 
     Raises
     ------
-    ValueError
-        One of the two is missing, cut short or of another schema; the message says which.
+    ValueError : one of the two is missing, cut short or of another schema; the message says which.
     """
     results = stored.read(run)
     stored.check_images(run)
@@ -127,16 +135,8 @@ class _Scene:
         self._dataset: xarray.Dataset | None = None
         self.branches: dict[tuple[str, str], dict[str, Any]] = {}
         self.audits = [audit for audit in audits if audit["scene"] == name]
-        self.described = {
-            "resolution": None,
-            "exposure": None,
-            "settings": {},
-            "objects": [],
-            "gains": {},
-            "plan": [],
-            "work": [],
-            **described,
-        }
+        lacking = dict.fromkeys(("resolution", "exposure")) | {name: {} for name in ("settings", "gains")}
+        self.described = lacking | {name: [] for name in ("objects", "plan", "work")} | described
         self.setting: dict[str, Any] | None = described.get("setting")
         self.base: str | None = described.get("base")
         self.rows = [row for row in rows if row["scene"] == name]
@@ -147,10 +147,7 @@ class _Scene:
     @property
     def terms(self) -> dict[str, list[str]]:
         """Variants of each term."""
-        found: dict[str, list[str]] = {}
-        for term, variant in self.keys:
-            found.setdefault(term, []).append(variant)
-        return found
+        return _variants(self.keys)
 
     def prefixes(self, term: str, variant: str) -> list[dict[str, Any]]:
         """Rows against `own` by increasing samples; the last one is the judged one."""
@@ -276,11 +273,7 @@ class _Scene:
 
 def _by_setting(scenes: list[_Scene]) -> dict[str, list[_Scene]]:
     """The changed scenes by the name of the setting that changes them."""
-    found: dict[str, list[_Scene]] = {}
-    for scene in scenes:
-        if scene.setting is not None:
-            found.setdefault(scene.setting["name"], []).append(scene)
-    return found
+    return grouped((scene for scene in scenes if scene.setting), lambda scene: (scene.setting or {})["name"])
 
 
 def _assignments(change: dict[str, Any], prefix: str = "") -> list[str]:
@@ -316,10 +309,7 @@ class _Exact:
 
 
 def _exact(rows: list[dict[str, Any]]) -> dict[str, _Exact]:
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        if row["group"]:
-            groups.setdefault(row["group"], []).append(row)
+    groups = grouped((row for row in rows if row["group"]), lambda row: row["group"])
     return {name: _Exact(name, found) for name, found in groups.items()}
 
 
@@ -357,11 +347,13 @@ def _tally(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
 
 def _keys(scenes: list[_Scene]) -> dict[str, list[str]]:
     """Variants of each term over all scenes."""
-    every = sorted(dict.fromkeys(key for scene in scenes for key in scene.keys), key=lambda key: _order(key[0]))
-    found: dict[str, list[str]] = {}
-    for term, variant in every:
-        found.setdefault(term, []).append(variant)
-    return found
+    every = dict.fromkeys(key for scene in scenes for key in scene.keys)
+    return _variants(sorted(every, key=lambda key: _order(key[0])))
+
+
+def _variants(keys: list[tuple[str, str]]) -> dict[str, list[str]]:
+    """Names of the variants of each term."""
+    return {term: [name for _, name in each] for term, each in grouped(keys, lambda key: key[0]).items()}
 
 
 def _environment() -> jinja2.Environment:

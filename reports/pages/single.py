@@ -19,8 +19,7 @@ def write(run: Path) -> Path:
 
     Raises
     ------
-    FileNotFoundError
-        If the run has no `index.html`.
+    FileNotFoundError : if the run has no `index.html`.
     """
     if not (run / "index.html").is_file():
         raise FileNotFoundError(f"{run / 'index.html'}: no such file: allowed is a run whose pages are written")

@@ -11,22 +11,17 @@ import numpy as np
 from plotly.colors import sequential
 
 from termwise.reports.pages import pictures
-from termwise.reports.pages.environment import copy_static, page_environment, render_page
+from termwise.reports.pages.environment import copy_static, grouped, page_environment, render_page
 
 NAMES = {"ours": "ours", "paper": "the paper’s code", "mitsuba": "Mitsuba"}
 
 
 def write(folder: Path) -> Path:
-    """Write the page of the lab's numbers in a folder.
-
-    Returns
-    -------
-    The `index.html`.
+    """Write the page of the lab's numbers in a folder; returns the `index.html`.
 
     Raises
     ------
-    ValueError
-        `stress.json` is not there, is no JSON, or is of another version.
+    ValueError : `stress.json` is not there, is no JSON, or is of another version.
     """
     path, index = folder / "stress.json", folder / "index.html"
     try:
@@ -43,7 +38,7 @@ def write(folder: Path) -> Path:
             root="",
             run=measured,
             names=NAMES,
-            groups=_groups(measured["cases"]),
+            groups=grouped(measured["cases"], lambda case: case["group"]),
             tallies={side: _tally(measured["cases"], side) for side in NAMES},
             passes=passes,
             drawn=_drawn(measured["cases"], folder / "pictures"),
@@ -62,13 +57,6 @@ def passes(case: dict[str, Any], side: str) -> bool | None:
     if case[side] is None:
         return False if side in case["faults"] else None
     return case[side] <= case["limit"]
-
-
-def _groups(cases: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
-    for case in cases:
-        found.setdefault(case["group"], []).append(case)
-    return found
 
 
 def _drawn(cases: list[dict[str, Any]], folder: Path) -> dict[str, Any]:

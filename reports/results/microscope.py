@@ -123,8 +123,7 @@ def branch(
 
     Raises
     ------
-    ValueError
-        A row or a place that is not there; the message says what is.
+    ValueError : a row or a place that is not there; the message says what is.
     """
     cell = _cell(dataset, term, variant)
     limit = int(dataset["own"].values[cell])

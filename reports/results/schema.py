@@ -24,8 +24,8 @@ def read(run: Path) -> dict[str, Any]:
 
     Raises
     ------
-    ValueError
-        There is none, it is cut short or no JSON, or it is of another schema; the message names it and says which.
+    ValueError : There is none, it is cut short or no JSON, or it is of another schema; the message names it and says
+        which.
     """
     path = run / NAME if run.is_dir() else run
     try:

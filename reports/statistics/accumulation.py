@@ -132,10 +132,9 @@ def measure(
 
     Raises
     ------
-    ValueError
-        For shapes that do not fit, values that are no floats, fewer than 4 replicates, two replicates that
-        are the same image although others differ (or all of ours, unless it may be free of noise), an invalid
-        value in the reference, a scale that is not positive.
+    ValueError : for shapes that do not fit, values that are no floats, fewer than 4 replicates, two replicates that are
+        the same image although others differ (or all of ours, unless it may be free of noise), an invalid value in the
+        reference, a scale that is not positive.
     """
     ours, reference = stacked("ours", ours, names), stacked("reference", reference, reference_names)
     check(ours, reference, objects, scale, exact)

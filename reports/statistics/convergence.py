@@ -115,8 +115,7 @@ def fit(
 
     Raises
     ------
-    ValueError
-        For fewer than 4 prefixes, samples that do not increase, or estimates of different replicates.
+    ValueError : for fewer than 4 prefixes, samples that do not increase, or estimates of different replicates.
     """
     samples = np.asarray(samples, dtype=np.float64)
     if len(samples) < PREFIXES_NEEDED or len(samples) != len(errors):
@@ -219,8 +218,7 @@ def extrapolate(radii: Sequence[float] | np.ndarray, estimates: Sequence[Estimat
 
     Raises
     ------
-    ValueError
-        For fewer than 3 radii, radii that are not positive and distinct, or estimates of different replicates.
+    ValueError : for fewer than 3 radii, radii that are not positive and distinct, or estimates of different replicates.
     """
     radii = np.asarray(radii, dtype=np.float64)
     if len(radii) < RADII_NEEDED or len(radii) != len(estimates):

@@ -148,8 +148,7 @@ def split_error(ours: np.ndarray, own: np.ndarray, physical: np.ndarray) -> Erro
 
     Raises
     ------
-    ValueError
-        For groups that do not fit or fewer than 4 replicates of ours.
+    ValueError : for groups that do not fit or fewer than 4 replicates of ours.
     """
     groups = tuple(stacked(*each) for each in (("ours", ours), ("own", own), ("physical", physical)))
     for group in groups[1:]:

@@ -30,8 +30,7 @@ def rmse(reference: np.ndarray, image: np.ndarray) -> float:
 
     Raises
     ------
-    ValueError
-        For unequal shapes, no pixels, or a value that is not finite.
+    ValueError : for unequal shapes, no pixels, or a value that is not finite.
     """
     reference, image = _pair(reference, image)
     return float(np.sqrt(np.mean((image - reference) ** 2)))
@@ -48,9 +47,8 @@ def relative_mse(reference: np.ndarray, image: np.ndarray, *, epsilon: float | N
 
     Raises
     ------
-    ValueError
-        For unequal shapes, no pixels, a value that is not finite, or `ε = 0` (a black reference) while
-        the images differ; two black images are 0 apart.
+    ValueError : for unequal shapes, no pixels, a value that is not finite, or `ε = 0` (a black reference) while the
+        images differ; two black images are 0 apart.
     """
     reference, image = _pair(reference, image)
     if epsilon is None:
@@ -74,8 +72,7 @@ def ssim(reference: np.ndarray, image: np.ndarray, *, exposure: float) -> float:
 
     Raises
     ------
-    ValueError
-        For unequal or other shapes, a value that is not finite, or an exposure that is not positive.
+    ValueError : for unequal or other shapes, a value that is not finite, or an exposure that is not positive.
     """
     reference, image = _pair(reference, image)
     if reference.ndim != 3 or reference.shape[2] != 3 or min(reference.shape[:2]) < SSIM_WINDOW:

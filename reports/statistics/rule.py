@@ -80,8 +80,7 @@ def decide(
 
     Raises
     ------
-    ValueError
-        For a value out of range.
+    ValueError : for a value out of range.
     """
     _check(statistics, tests, looks, kind, kernel, judged)
     _check_numbers(allowance=allowance, margin=margin, samples=samples, seconds=seconds)
@@ -176,9 +175,8 @@ def judge(
 
     Raises
     ------
-    ValueError
-        Images of unequal size or too few, NaN in the reference, replicates that are the same image; the message says
-        which, and what is allowed.
+    ValueError : images of unequal size or too few, NaN in the reference, replicates that are the same image; the
+        message says which, and what is allowed.
     """
     if exact and isinstance(reference, np.ndarray) and reference.ndim == 3:
         reference = reference[None]

@@ -53,8 +53,7 @@ def measure(
 
     Raises
     ------
-    ValueError
-        An unknown group, no row of that name, a count below 1.
+    ValueError : an unknown group, no row of that name, a count below 1.
     """
     positive(count=count)
     chosen = [(group, row) for group, row in rows(groups, count) if case in row.name]

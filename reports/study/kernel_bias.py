@@ -41,7 +41,7 @@ def points(scene: Scene, seen: GeometryImages) -> np.ndarray:
 
 
 def classify(geometry: Geometry, faces: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """The class of each point under a kernel of a radius.
+    """The class of each point under a kernel of a radius: (...) int64, indices into CLASSES, or UNSEEN.
 
     Parameters
     ----------
@@ -49,10 +49,6 @@ def classify(geometry: Geometry, faces: np.ndarray, points: np.ndarray, radius: 
     faces : (...) integer, the triangle that each point lies on, -1 for none.
     points : (..., 3) float64
     radius : in the unit of the points.
-
-    Returns
-    -------
-    (...) int64, indices into CLASSES, or UNSEEN.
     """
     shape, faces, points = faces.shape, faces.ravel(), points.reshape(-1, 3)
     seen = np.flatnonzero(faces >= 0)

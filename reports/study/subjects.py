@@ -78,8 +78,7 @@ def subjects(study: Study, scenes: tuple[Scene, ...]) -> Iterator[Subject]:
 
     Raises
     ------
-    ValueError
-        A setting changes what does not exist, or a variant would ignore an option.
+    ValueError : a setting changes what does not exist, or a variant would ignore an option.
     """
     for scene in scenes:
         yield _checked(Subject(scene, {term: variants_of(study, scene, term) for term in TERMS}))
@@ -102,8 +101,7 @@ def named(study: Study, name: str, variant: Variant) -> tuple[Subject, int]:
 
     Raises
     ------
-    ValueError
-        Neither is there.
+    ValueError : Neither is there.
     """
     for case in exact.cases(study):
         if (case.name, case.variant) == (name, variant):

@@ -63,16 +63,12 @@ def perez(channel: str, turbidity: float, cos_theta: np.ndarray, gamma: np.ndarr
 
 
 def sky_yxy(directions: np.ndarray, sun: np.ndarray, turbidity: float) -> np.ndarray:
-    """Luminance (kcd/m^2) and chromaticities (Y, x, y) of the sky.
+    """Luminance (kcd/m^2) and chromaticities (Y, x, y) of the sky: (..., 3) float64.
 
     Parameters
     ----------
     directions : (..., 3) unit vectors above the horizon (z > 0).
     sun : (3,) unit vector towards the sun.
-
-    Returns
-    -------
-    (..., 3) float64 array.
     """
     theta_sun = np.arccos(sun[2])
     gamma = np.arccos(np.clip(directions @ sun, -1, 1))
