@@ -209,6 +209,16 @@ class Ours:
         return self.found if any_hit else self.face >= 0
 
 
+def embree_scene(mi: Any, corners: np.ndarray, *, robust: bool) -> Any:
+    """Triangles (F, 3, 3) in float32 as a scene of Mitsuba's."""
+    mesh = mi.Mesh("mesh", vertex_count=3 * len(corners), face_count=len(corners))
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = corners.astype(np.float32).ravel()
+    parameters["faces"] = np.arange(3 * len(corners), dtype=np.uint32)
+    parameters.update()
+    return mi.load_dict({"type": "scene", "embree_use_robust_intersections": robust, "mesh": mesh})
+
+
 class Theirs:
     """Mitsuba's side of a case, with or without the robust flag."""
 
@@ -217,12 +227,7 @@ class Theirs:
 
         self.mi: Any = import_mitsuba(BACKEND)
         mi = self.mi
-        mesh = mi.Mesh("mesh", vertex_count=3 * len(corners), face_count=len(corners))
-        parameters = mi.traverse(mesh)
-        parameters["vertex_positions"] = corners.astype(np.float32).ravel()
-        parameters["faces"] = np.arange(3 * len(corners), dtype=np.uint32)
-        parameters.update()
-        self.scene = mi.load_dict({"type": "scene", "embree_use_robust_intersections": robust, "mesh": mesh})
+        self.scene = embree_scene(mi, corners, robust=robust)
 
     def case(self, rays: Rays, *, any_hit: bool) -> "Case":
         """Bind rays."""

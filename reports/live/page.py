@@ -222,15 +222,14 @@ class Page:
                                 with ui.column().classes("grow basis-0 min-w-0 gap-0"):
                                     self._input(each, heading)
 
+    def _answers(self, each: Input) -> tuple[Callable[[Any], None], Callable[[Any], str | None]]:
+        """What a field of an input does with a new value, and why it would refuse one."""
+        return lambda event: self._change(each, event.value), lambda value: self._refusal(each, value)
+
     def _input(self, each: Input, heading: str) -> None:
         ui, value = self.ui, states.get(self.history.state, each.path)
 
-        def changed(event: Any) -> None:
-            self._change(each, event.value)
-
-        def refusal(value: Any) -> str | None:
-            return self._refusal(each, value)
-
+        changed, refusal = self._answers(each)
         if each.choices:
             field = ui.select(list(each.choices), value=value, label=each.name, on_change=changed, validation=refusal)
             field._props["aria-label"] = f"{heading}: {each.name}"
@@ -243,12 +242,7 @@ class Page:
     def _number(self, each: Input, heading: str) -> None:
         ui, value = self.ui, states.get(self.history.state, each.path)
 
-        def changed(event: Any) -> None:
-            self._change(each, event.value)
-
-        def refusal(value: Any) -> str | None:
-            return self._refusal(each, value)
-
+        changed, refusal = self._answers(each)
         if each.word:  # a number field of a browser takes none
             field = ui.input(each.name, value=_text(value), on_change=changed, validation=refusal)
         else:

@@ -33,30 +33,21 @@ from termwise.scenes.terms import TERMS, TOTAL, Term, TermImage, total
 
 def limit_name(limit: Limit) -> str:
     """A limit in a few words, unique within a scene."""
-    words = [limit.term]
-    if limit.transport == "physical":
-        words.append("physical")
-    if not limit.occluded:
-        words.append("unoccluded")
-    if limit.factor != 1.0:
-        words.append(f"times {limit.factor:.6g}")
-    if limit.lobe != 1.0:
-        words.append(f"lobe times {limit.lobe:.6g}")
-    if limit.diffuse != 0.0:
-        words.append(f"plus diffuse {limit.diffuse:.6g}")
-    if limit.cosine != "incident":
-        words.append(f"{limit.cosine} cosine")
-    if limit.ambient != 1.0:
-        words.append(f"ambient times {limit.ambient:.6g}")
-    if limit.rings is not None:
-        words.append(f"{limit.rings} rings")
-    if limit.shadows != "physical":
-        words.append(f"{limit.shadows} shadows")
-    if limit.scope:
-        words.append(limit.scope)
-    if limit.kernel is not None:
-        words += (f"{name} {value}" for name, value in attrs.asdict(limit.kernel).items())
-    return " ".join(words)
+    said = (
+        (limit.transport == "physical", "physical"),
+        (not limit.occluded, "unoccluded"),
+        (limit.factor != 1.0, f"times {limit.factor:.6g}"),
+        (limit.lobe != 1.0, f"lobe times {limit.lobe:.6g}"),
+        (limit.diffuse != 0.0, f"plus diffuse {limit.diffuse:.6g}"),
+        (limit.cosine != "incident", f"{limit.cosine} cosine"),
+        (limit.ambient != 1.0, f"ambient times {limit.ambient:.6g}"),
+        (limit.rings is not None, f"{limit.rings} rings"),
+        (limit.shadows != "physical", f"{limit.shadows} shadows"),
+        (bool(limit.scope), f"{limit.scope}"),
+    )
+    kernel = {} if limit.kernel is None else attrs.asdict(limit.kernel)
+    words = [limit.term, *(word for holds, word in said if holds)]
+    return " ".join([*words, *(f"{name} {value}" for name, value in kernel.items())])
 
 
 @attrs.frozen(eq=False)

@@ -18,6 +18,7 @@ from termwise.renderer.geometry.intersect import FaceRange, make_ray
 from termwise.renderer.geometry.packets import SIZE, Rays8, new_rays8
 from termwise.renderer.jit import kernel
 from termwise.renderer.vector import put_column, vec3
+from termwise.reports.bench.rays import embree_scene
 
 
 class Found(NamedTuple):
@@ -163,15 +164,7 @@ def embree(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, lea
     mi: Any = import_mitsuba()
     import drjit as dr  # after Mitsuba has chosen its LLVM
 
-    if not len(corners):
-        scene = mi.load_dict({"type": "scene"})
-    else:
-        mesh = mi.Mesh("mesh", vertex_count=3 * len(corners), face_count=len(corners))
-        parameters = mi.traverse(mesh)
-        parameters["vertex_positions"] = corners.astype(np.float32).ravel()
-        parameters["faces"] = np.arange(3 * len(corners), dtype=np.uint32)
-        parameters.update()
-        scene = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, "mesh": mesh})
+    scene = embree_scene(mi, corners, robust=True) if len(corners) else mi.load_dict({"type": "scene"})
     with np.errstate(over="ignore", under="ignore"):
         origin = mi.Point3f(origins.astype(np.float32).T.copy())
         direction = mi.Vector3f(directions.astype(np.float32).T.copy())
