@@ -292,8 +292,7 @@ def test_the_page_shows_whatever_exists(names, tmp_path):
 
 def test_an_empty_folder_or_a_broken_file_is_refused(tmp_path):
     with pytest.raises(
-        ValueError,
-        match=r"no benchmark: allowed are terms.json, rays.json, scaling.json, reductions.json, view.json",
+        ValueError, match=r"no benchmark: allowed are terms.json, rays.json, scaling.json, reductions.json, view.json"
     ):
         page.write(tmp_path)
     (tmp_path / "rays.json").write_text("{")
