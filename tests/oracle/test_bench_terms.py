@@ -6,7 +6,6 @@ with several samples of a point light.
 
 import json
 
-import attrs
 import numpy as np
 import pytest
 
@@ -14,7 +13,7 @@ from termwise import reference
 from termwise.reference.backend import active, import_mitsuba
 from termwise.reports import cli
 from termwise.scenes import limits
-from termwise.scenes.load import load
+from tests.scenes import small
 
 CASE = {"scene", "term", "scope", "variant", "target_rmse", "ours_s", "mitsuba_s", "mitsuba_setting"}
 CASE |= {"speedup", "speedup_low", "speedup_high"}
@@ -45,7 +44,7 @@ def test_every_setting_converges_to_the_reference(name, term, scope, step):
     """
     from termwise.reports.bench import yardstick
 
-    scene, limit = attrs.evolve(load(name), resolution=(16, 16)), limits.correct(term, scope)
+    scene, limit = small(name, 16), limits.correct(term, scope)
     truth = np.mean([reference.replicate(scene, limit, spp=256, seed=0, replicate=k) for k in range(2)])
     assert truth > 0
     for setting in list(yardstick.settings(reference.loaded(scene), limit))[::step]:

@@ -18,28 +18,9 @@ import numpy as np
 import pytest
 
 from termwise.scenes.store import ROOT, cache_folder
+from tests.scenes import FLOOR
 
-SCENE = """
-resolution = [8, 6]
-
-[camera]
-position = [0, -1, 3]
-target = [0, 0, 0]
-
-[ambient]
-color = [0.5, 0.4, 0.3]
-range = 1.0
-
-[[objects]]
-shape = "rectangle"
-name = "floor"
-origin = [-3, -3, 0]
-edges = [[6, 0, 0], [0, 6, 0]]
-
-[[lights]]
-position = [0, 0, 2]
-intensity = [3, 3, 3]
-"""
+SCENE = FLOOR.replace("[12, 9]", "[8, 6]")
 
 STUDY = """
 scenes = ["SCENE"]

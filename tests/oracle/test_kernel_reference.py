@@ -16,6 +16,7 @@ from termwise.scenes.analytic import closed_box, plate
 from termwise.scenes.limits import Kernel, Limit
 from termwise.scenes.load import load
 from termwise.scenes.model import Camera, Material, Mesh, Object, PointLight, Scene, Vector
+from tests.scenes import small
 
 # Bias of each kernel is so much of r² ΔE: half its second moment along an axis.
 COEFFICIENTS = {"uniform": 1 / 8, "epanechnikov": 1 / 12, "simpson": 1 / 16}
@@ -406,7 +407,7 @@ MAPS = {"cornell_box_unshadowed": 1, "two_cubes": 4, "monkey": 8}
 
 def compare(name: str, variant: str, kernel: Kernel, kind: verdict.Kind, *, maps: int) -> tuple[str | None, np.ndarray]:
     """Verdict with no allowance at 32 x 32, and z of the image's mean in each channel."""
-    scene = attrs.evolve(load(name), resolution=(32, 32))
+    scene = small(name, 32)
     chosen = renderer.find("direct", variant)
     ours = []
     with renderer.Engine(scene) as engine:

@@ -32,6 +32,7 @@ from termwise.scenes.analytic import closed_box
 from termwise.scenes.load import library, load
 from termwise.scenes.model import Color, Mesh, Object, PointLight, Scene, Vector
 from termwise.scenes.terms import TERMS, Term, total
+from tests.scenes import small
 
 LATTICE = 2.0**-10
 SAMPLES = 4
@@ -437,7 +438,7 @@ def test_the_written_total_is_the_sum_of_the_terms_to_the_bit(tmp_path, monkeypa
         cli.main()
     assert ended.value.code == 0
     written = read_exr(next(tmp_path.rglob("*.exr")))
-    scene = attrs.evolve(load("two_cubes"), resolution=(24, 20))
+    scene = small("two_cubes", 24, 20)
     parts = {term: renderer.render(scene, term, samples=2, seed=3).mean for term in TERMS}
     for term, image in parts.items():
         assert image.any()

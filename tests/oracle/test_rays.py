@@ -20,6 +20,7 @@ from termwise.renderer.geometry.rays import any_hit, closest_hit
 from termwise.renderer.vector import Vec3
 from termwise.scenes.load import library, load
 from termwise.scenes.model import Camera, Mesh, Object, Scene
+from tests.scenes import small
 
 
 def ours(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -140,7 +141,7 @@ def test_geometry_images(name, record_property):
     the test would excuse much. A camera that looks 1e-2 pixel aside is told apart.
     """
     side = 128
-    scene = attrs.evolve(load(name), resolution=(side, side))
+    scene = small(name, side)
     theirs = geometry(scene)
     offset = np.cumsum([0, *(len(thing.mesh.faces) for thing in scene.objects)])[:-1]
     faces = np.where(theirs.object >= 0, theirs.face + offset[theirs.object], -1)

@@ -7,9 +7,9 @@ import pytest
 from termwise import reference
 from termwise.reference import store
 from termwise.scenes.limits import Limit, correct, physical
-from termwise.scenes.load import load
 from termwise.scenes.model import Ambient, Camera, Mesh, Object, PointLight, Scene, Sky
 from termwise.scenes.terms import TERMS
+from tests.scenes import small
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ UNTOUCHED = {
 @pytest.fixture(scope="module")
 def shining() -> tuple[Scene, dict[str, np.ndarray]]:
     """A scene whose lobes, lights and shares are all at work, and the image of each term."""
-    scene = _painted(attrs.evolve(load("two_cubes"), resolution=(8, 6)), color=(0.4, 0.2, 0.6), gloss=0.5)
+    scene = _painted(small("two_cubes", 8, 6), color=(0.4, 0.2, 0.6), gloss=0.5)
     terms = ("ambient", "direct", "background")  # no change leaves specular alone
     return scene, {term: reference.replicate(scene, correct(term, "all"), spp=2, seed=1) for term in terms}
 

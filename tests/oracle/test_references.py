@@ -13,15 +13,11 @@ from termwise.reports import run
 from termwise.reports.statistics import accumulation
 from termwise.reports.study import audits, study, subjects
 from termwise.scenes.limits import Limit, correct, physical
-from termwise.scenes.load import load
 from termwise.scenes.model import Scene
+from tests.scenes import small
 
 NAMES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
 TERMS = ("ambient", "direct", "specular")
-
-
-def small(name: str, side: int = 16) -> Scene:
-    return attrs.evolve(load(name), resolution=(side, side))
 
 
 def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 640, change: Any = None) -> dict[str, str]:

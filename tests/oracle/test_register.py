@@ -19,6 +19,7 @@ from termwise.reports.study import study, subjects
 from termwise.scenes.limits import Limit
 from termwise.scenes.load import load
 from termwise.scenes.store import ROOT
+from tests.scenes import small
 
 EXAMPLE = ROOT / "examples" / "gamma_space.py"
 
@@ -176,7 +177,7 @@ def test_replicates_have_seeds_of_their_own_and_prefixes_share_them():
         return black(scene, samples, seed)
 
     variant = termwise.register("ambient", "noted", noted, lambda scene: Limit("ambient"))
-    with Engine(attrs.evolve(load("cornell_box"), resolution=(4, 3))) as engine:
+    with Engine(small("cornell_box", 4, 3)) as engine:
         for replicate in range(2):
             assert [n for n, _, _ in engine.prefixes(variant, samples=4, seed=1, replicate=replicate)] == [1, 2, 4]
     assert [samples for samples, _ in asked] == [1, 2, 4, 1, 2, 4]

@@ -28,32 +28,10 @@ from termwise.reports.results.exr import read_exr
 from termwise.reports.study import study, subjects
 from termwise.scenes.store import ROOT, cache_folder
 from termwise.scenes.terms import TERMS
+from tests.scenes import FLOOR
 
 # Every term but background, which is absent; a floor under a lamp, half of it out of the picture.
-SCENE = """
-max_bounces = 1
-resolution = [12, 9]
-
-[camera]
-position = [0, -1, 3]
-target = [0, 0, 0]
-
-[ambient]
-color = [0.5, 0.4, 0.3]
-range = 1.0
-
-[[objects]]
-shape = "rectangle"
-name = "floor"
-origin = [-3, -3, 0]
-edges = [[6, 0, 0], [0, 6, 0]]
-gloss = 0.3
-f0 = [0.9, 0.8, 0.7]
-
-[[lights]]
-position = [0, 0, 2]
-intensity = [3, 3, 3]
-"""
+SCENE = "max_bounces = 1\n" + FLOOR.replace("[0, 6, 0]]", "[0, 6, 0]]\ngloss = 0.3\nf0 = [0.9, 0.8, 0.7]")
 
 STUDY = """
 scenes = ["SCENE"]

@@ -7,7 +7,6 @@ side and a reference of its own, Mitsuba's or exact. Rows are of all terms, of u
 integral and of wrong ones against their own limits; kernel estimates are biased by design and take no part.
 """
 
-import attrs
 import numpy as np
 from scipy import stats
 
@@ -17,8 +16,8 @@ from termwise.renderer.terms import Variant
 from termwise.reports.statistics.accumulation import measure
 from termwise.reports.study import closed_forms
 from termwise.scenes.analytic import furnace
-from termwise.scenes.load import load
 from termwise.scenes.terms import Term
+from tests.scenes import small
 
 # The fewest of which a variance is asked, 4 a side: fat tails, which a normal distribution would not fit.
 REPLICATES = 4
@@ -73,7 +72,7 @@ def mitsuba_scores() -> list[tuple[float, float]]:
     scores = []
     for name, rows in ROWS.items():
         # Without scattered light `next-event` is unbiased; `path` has it always.
-        scene = attrs.evolve(load(name), resolution=(16, 16), scope="first-hit")
+        scene = small(name, 16, scope="first-hit")
         with Engine(scene, threads=1) as engine:
             for (term, variant), count in rows.items():
                 limit = find(term, variant).limit(scene, SAMPLES)

@@ -23,14 +23,15 @@ from termwise.scenes.analytic import plate
 from termwise.scenes.limits import Limit
 from termwise.scenes.load import load
 from termwise.scenes.model import Ambient, Camera, Color, Material, Mesh, Object, PointLight, Scene
+from tests.scenes import small
 
 
 def grey(value: float) -> Color:
     return value, value, value
 
 
-def small(name: str, **change: Any) -> Scene:
-    scene = attrs.evolve(load(name), resolution=(24, 24))
+def small_changed(name: str, **change: Any) -> Scene:
+    scene = small(name, 24)
     return changed(attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=5000)), change)
 
 
@@ -75,10 +76,10 @@ def agree(
 )
 def test_both_sides_agree(name: str, change: dict[str, Any], term: str, variant: str, least: float):
     """And the setting changes the mean by more than a share `least`, so that the agreement says something."""
-    scene = small(name, **change)
+    scene = small_changed(name, **change)
     limit = find(term, variant).limit(scene, 16)
     with_setting = agree(scene, term, variant, limit)
-    before = small(name)
+    before = small_changed(name)
     without = reference.replicate(before, find(term, variant).limit(before, 16), spp=256, seed=1).mean()
     assert abs(with_setting / without - 1) > least
 
@@ -89,7 +90,7 @@ def test_both_sides_agree(name: str, change: dict[str, Any], term: str, variant:
 )
 def test_both_sides_agree_on_what_is_seen_from_behind(term: str, variant: str):
     """A glossy room inside out, its normals those of the faces, and no ray meets the object that it leaves."""
-    room = small("cornell_box_unshadowed", normals="face", ignore="object")
+    room = small_changed("cornell_box_unshadowed", normals="face", ignore="object")
     agree(inside_out(room), term, variant, find(term, variant).limit(room, 16))
 
 
@@ -122,7 +123,7 @@ def test_a_face_shows_its_front_from_behind():
 
 
 def test_photons_are_refused_where_fronts_show_from_behind():
-    scene = small("two_cubes", normals="face")
+    scene = small_changed("two_cubes", normals="face")
     with pytest.raises(ValueError, match="normals = 'face': allowed is 'viewer' for direct next-event"):
         renderer.render(scene, "direct")
     with pytest.raises(ValueError, match="specular vndf"):
@@ -136,7 +137,7 @@ def test_photons_are_refused_where_fronts_show_from_behind():
 
 @pytest.mark.parametrize("variant", ["next-event", "path", "photon-map", "nearest"])
 def test_irradiance_is_pi_times_the_radiance(variant: str):
-    scene = small("two_cubes")
+    scene = small_changed("two_cubes")
     plain, read = (
         renderer.render(each, "direct", variant=variant, samples=2).mean
         for each in (scene, attrs.evolve(scene, irradiance="E"))
@@ -146,7 +147,7 @@ def test_irradiance_is_pi_times_the_radiance(variant: str):
 
 def test_a_convex_object_cannot_tell_whether_its_rays_pass_it():
     """The same bits: no ray that leaves a cube outwards meets it again. The monkey's do (above)."""
-    scene = small("two_cubes")
+    scene = small_changed("two_cubes")
     for term in ("ambient", "direct", "specular"):
         plain, passing = (
             renderer.render(each, term, samples=2, chain="path").mean
@@ -211,7 +212,7 @@ def test_the_paper_s_intersection():
 @pytest.mark.parametrize("shadows", ["physical", "paper"])
 def test_a_chain_of_the_paper_s_terms_against_its_twin(shadows: str):
     """Ambient without 1/π and the k nearest photons at the vertices, by Mitsuba's photons and a k-d tree."""
-    scene = small("cornell_box_unshadowed", shadows=shadows)
+    scene = small_changed("cornell_box_unshadowed", shadows=shadows)
     subject = Subject(scene, {"specular": (find("specular", "vndf"),)}, "paper")
     study = Study(scenes=("cornell_box_unshadowed",), resolution=(24, 24), kernel_maps=1)
     limit = own_limit(study, subject, find("specular", "vndf"))

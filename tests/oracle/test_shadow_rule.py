@@ -9,8 +9,8 @@ from termwise.renderer.terms import find
 from termwise.reports.statistics.rule import judge
 from termwise.scenes.analytic import plate
 from termwise.scenes.limits import Limit
-from termwise.scenes.load import load
 from termwise.scenes.model import Ambient, Camera, Color, Material, Object, PointLight, Scene, Toggles
+from tests.scenes import small
 
 COLOR, GLOSS, AMBIENT = 0.6, 0.25, 0.5
 
@@ -82,7 +82,7 @@ def test_without_lights_nothing_is_dark():
 )
 def test_both_sides_agree(name: str, term: str):
     """Ours against Mitsuba's, EQUIVALENT; and the rule changes the mean by more than the margin."""
-    scene = attrs.evolve(load(name), resolution=(32, 32), shadows="paper")
+    scene = small(name, 32, shadows="paper")
     variant = find(term)
     limit = variant.limit(scene, 32)
     ours = []

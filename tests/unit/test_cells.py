@@ -13,15 +13,15 @@ from termwise.renderer import DEFAULTS, Engine, render
 from termwise.renderer.scratch import COUNTERS
 from termwise.renderer.terms import VARIANTS, estimator
 from termwise.reports.jobs import cells
-from termwise.scenes.load import load
 from termwise.scenes.model import Photons, PointLight, Scene
+from tests.scenes import small
 
 SAMPLES, REPLICATES = 4, 3
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return attrs.evolve(load("two_cubes"), resolution=(3, 2))
+    return small("two_cubes", 3, 2)
 
 
 class Recorder:
@@ -250,7 +250,7 @@ UNTOUCHED: dict[str, tuple[Callable[[Scene], Scene], tuple[str, ...]]] = {
 
 @pytest.mark.parametrize("change", UNTOUCHED)
 def test_equal_names_mean_equal_bytes(change: str):
-    scene = attrs.evolve(load("two_cubes"), resolution=(4, 4), photons=Photons(count=50, radius=0.5))
+    scene = small("two_cubes", 4, photons=Photons(count=50, radius=0.5))
     changed, untouched = UNTOUCHED[change][0](scene), UNTOUCHED[change][1]
     for term, name in DEFAULTS.items():
         same = _key(changed, term, name) == _key(scene, term, name)

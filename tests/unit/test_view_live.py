@@ -13,9 +13,9 @@ from termwise.renderer import render_terms
 from termwise.renderer.engine import Engine
 from termwise.reports.live.live import KEPT, Frame, Live, _Sum
 from termwise.reports.live.state import State, put
-from termwise.scenes.load import load
 from termwise.scenes.model import Photons
 from termwise.scenes.terms import TERMS, total
+from tests.scenes import small
 
 # What has not come by then never will, however busy the machine.
 WAIT_S = 300.0
@@ -26,8 +26,8 @@ def kernels(compiled):
     """Compiled before anything is waited for: the first time takes minutes on a busy machine."""
     if compiled:
         for name in ("two_cubes", "cornell_box", "monkey"):
-            rendered(small(name, compiled), 1)
-        rendered(put(small("two_cubes", compiled), ("variants", "ambient"), "paper"), 1)
+            rendered(small_state(name, compiled), 1)
+        rendered(put(small_state("two_cubes", compiled), ("variants", "ambient"), "paper"), 1)
 
 
 class Watch:
@@ -68,9 +68,9 @@ def watch():
     assert live.join(WAIT_S)
 
 
-def small(name: str, compiled: bool, **changes) -> State:
+def small_state(name: str, compiled: bool, **changes) -> State:
     side, count = (24, 500) if compiled else (3, 20)
-    scene = attrs.evolve(load(name), resolution=(side, side), photons=Photons(count=count, radius=0.3))
+    scene = small(name, side, photons=Photons(count=count, radius=0.3))
     return State(scene, **{"samples": 4, **changes})
 
 
@@ -82,7 +82,7 @@ def rendered(state: State, samples: int) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", ["two_cubes", "cornell_box"])
 def test_the_picture_has_the_bits_of_render(name, watch, compiled):
     live, seen = watch
-    state = small(name, compiled, samples=5, seed=7)
+    state = small_state(name, compiled, samples=5, seed=7)
     state = put(state, ("variants", "ambient"), "paper")
     live.show(state)
     for samples in (1, 5):
@@ -98,7 +98,7 @@ def test_the_picture_has_the_bits_of_render(name, watch, compiled):
 
 def test_a_change_renders_only_what_it_touches(watch, compiled):
     live, seen = watch
-    state = small("two_cubes", compiled)
+    state = small_state("two_cubes", compiled)
     live.show(state)
     before = seen.until(1, 4)
     changed = put(state, ("scene", "objects", 0, "material", "roughness"), 0.9)
@@ -114,7 +114,7 @@ def test_a_change_renders_only_what_it_touches(watch, compiled):
 
 def test_undo_finds_the_samples_that_were_taken(watch, compiled):
     live, seen = watch
-    state = small("two_cubes", compiled)
+    state = small_state("two_cubes", compiled)
     live.show(state)
     before = seen.until(1, 4)
     live.show(put(state, ("scene", "camera", "fov"), 50.0))
@@ -128,7 +128,7 @@ def test_undo_finds_the_samples_that_were_taken(watch, compiled):
 
 def test_more_samples_go_on_from_those_there_are(watch, compiled):
     live, seen = watch
-    state = small("cornell_box", compiled, samples=2)
+    state = small_state("cornell_box", compiled, samples=2)
     live.show(state)
     seen.until(1, 2)
     live.show(attrs.evolve(state, samples=6))
@@ -139,7 +139,7 @@ def test_more_samples_go_on_from_those_there_are(watch, compiled):
 
 def test_what_is_skipped_says_why(watch, compiled):
     live, seen = watch
-    state = small("cornell_box", compiled)
+    state = small_state("cornell_box", compiled)
     live.show(put(state, ("scene", "toggles", "lighting"), False))
     frame = seen.until(1, 4)
     assert frame.terms["direct"].status == "skipped"
@@ -150,12 +150,12 @@ def test_what_is_skipped_says_why(watch, compiled):
 def test_a_new_state_breaks_off_what_it_makes_useless(watch, compiled):
     """A state that would take for ever is left at once; the one after it is whole."""
     live, seen = watch
-    endless = small("cornell_box", compiled, samples=2**20)
+    endless = small_state("cornell_box", compiled, samples=2**20)
     live.show(endless)
     seen.until(1)
     for number in range(2, 12):
         live.show(put(endless, ("scene", "camera", "fov"), 40.0 + number))
-    last = put(small("cornell_box", compiled), ("scene", "camera", "fov"), 45.0)
+    last = put(small_state("cornell_box", compiled), ("scene", "camera", "fov"), 45.0)
     live.show(last)
     found = seen.until(12, 4).total
     assert found is not None
@@ -166,7 +166,7 @@ def test_a_new_state_breaks_off_what_it_makes_useless(watch, compiled):
 def test_a_drag_shows_pictures(watch, compiled):
     """Changes that come faster than pictures: some are left out, none of those begun is, before its first picture."""
     live, seen = watch
-    state = small("cornell_box", compiled, samples=2**20)
+    state = small_state("cornell_box", compiled, samples=2**20)
     number, end = 0, time.monotonic() + WAIT_S
     while len({frame.number for frame in seen.frames if frame.total is not None}) < 5:
         assert time.monotonic() < end
@@ -176,7 +176,7 @@ def test_a_drag_shows_pictures(watch, compiled):
 
 def test_a_step_called_off_as_it_ended_goes_on_later(watch, compiled):
     live, seen = watch
-    state = small("cornell_box", compiled)
+    state = small_state("cornell_box", compiled)
     live.show(state)
     seen.until(1, 4)
     for each in live._sums.values():
@@ -188,7 +188,7 @@ def test_a_step_called_off_as_it_ended_goes_on_later(watch, compiled):
 def test_pause_keeps_the_picture_and_resume_goes_on(watch, compiled):
     live, seen = watch
     live.pause()
-    state = small("cornell_box", compiled, samples=4)
+    state = small_state("cornell_box", compiled, samples=4)
     live.show(state)
     frame = seen.until(1, 1)
     assert {view.status for view in frame.terms.values()} == {"stopped", "skipped"}
@@ -199,7 +199,7 @@ def test_pause_keeps_the_picture_and_resume_goes_on(watch, compiled):
 def test_a_pause_ends_with_equally_many_samples(watch, compiled):
     """What is exported then is what one command renders."""
     live, seen = watch
-    state = small("cornell_box", compiled, samples=2**20)
+    state = small_state("cornell_box", compiled, samples=2**20)
     live.show(state)
     seen.until(1, 2)
     live.pause()
@@ -218,7 +218,7 @@ def test_a_pause_ends_with_equally_many_samples(watch, compiled):
 
 def test_two_sessions_do_not_disturb_each_other(compiled):
     watches = Watch(), Watch()
-    states = small("cornell_box", compiled), small("monkey", compiled)
+    states = small_state("cornell_box", compiled), small_state("monkey", compiled)
     sessions = [Live(watch, threads=1) for watch in watches]
     for live, state in zip(sessions, states, strict=True):
         live.show(state)
@@ -234,7 +234,7 @@ def test_two_sessions_do_not_disturb_each_other(compiled):
 def test_a_closed_session_stops_its_work(compiled):
     watch = Watch()
     live = Live(watch, threads=1)
-    live.show(small("cornell_box", compiled, samples=2**20))
+    live.show(small_state("cornell_box", compiled, samples=2**20))
     watch.until(1)
     before = threading.active_count()
     live.close()
@@ -247,7 +247,7 @@ def test_a_closed_session_stops_its_work(compiled):
 
 def test_a_fault_is_told_and_the_next_state_rendered(watch, compiled, monkeypatch):
     live, seen = watch
-    state = small("cornell_box", compiled)
+    state = small_state("cornell_box", compiled)
 
     def broken(*arguments, **options):
         raise MemoryError("no room for photons")
@@ -263,7 +263,7 @@ def test_a_fault_is_told_and_the_next_state_rendered(watch, compiled, monkeypatc
 def test_a_late_first_sample_is_preceded_by_a_quarter_of_the_pixels(watch, compiled, monkeypatch):
     monkeypatch.setattr("termwise.reports.live.live.FIRST_S", 0.0)
     live, seen = watch
-    state = small("cornell_box", compiled)
+    state = small_state("cornell_box", compiled)
     live.show(state)
     seen.until(1, 4)
     live.show(put(state, ("scene", "camera", "fov"), 50.0))
@@ -302,7 +302,7 @@ def test_what_is_held_is_bounded(watch, compiled, monkeypatch, request):
     request.addfinalizer(gc.enable)
     live, seen = watch
     threads = threading.active_count()
-    state = small("cornell_box", compiled, samples=1)
+    state = small_state("cornell_box", compiled, samples=1)
     changes = 40
     for number in range(1, changes + 1):
         live.show(put(state, ("scene", "camera", "fov"), 40.0 + number))

@@ -17,6 +17,7 @@ from termwise.renderer.film import Tile
 from termwise.scenes.analytic import plate
 from termwise.scenes.load import load
 from termwise.scenes.model import Camera, Material, Scene, Sky
+from tests.scenes import small
 
 TILES = [Tile(0, 0, 4, 4), Tile(4, 0, 8, 4), Tile(0, 4, 4, 8), Tile(4, 4, 8, 8)]
 
@@ -96,7 +97,7 @@ def test_same_bits_for_any_threads_and_prefixes(compiled):
 
 def test_counts_are_those_of_the_shares(compiled):
     """A pixel's rays are counted: the pilot's and N of the mean pixel, and no more."""
-    scene = attrs.evolve(load("cornell_box"), resolution=(2 * SIDE, SIDE))
+    scene = small("cornell_box", 2 * SIDE, SIDE)
     with Engine(scene, threads=2, adaptive=True) as engine:
         *_, _ = engine.prefixes(find("ambient", None), samples=16, seed=1, replicate=0)
     pixels = 2 * SIDE * SIDE

@@ -24,6 +24,7 @@ from termwise.scenes.analytic import closed_box, plate
 from termwise.scenes.load import load
 from termwise.scenes.model import Camera, Material, PointLight, Scene
 from termwise.scenes.terms import TERMS, Term
+from tests.scenes import small
 
 
 def emitted(scene: Scene, index: int, count: int, *, aimed: bool, independent: bool = False) -> PhotonMap:
@@ -180,7 +181,7 @@ def test_the_mean_image_is_that_of_all_photons(term, variant, compiled):
 @pytest.mark.parametrize("variant", ["nearest", "paper", "paper-unweighted"])
 def test_the_k_nearest_are_not_aimed(variant, compiled):
     """Their mean depends on how many photons are emitted: the same bytes, and all photons."""
-    scene = attrs.evolve(load("monkey"), resolution=(4, 4))
+    scene = small("monkey", 4)
     scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=200 if compiled else 30, nearest=5))
     images = []
     for without in ((), ("aimed",)):

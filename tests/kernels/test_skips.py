@@ -18,6 +18,7 @@ from termwise.scenes.analytic import disc_over_plane, furnace, plate
 from termwise.scenes.load import library, load
 from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky, Toggles
 from termwise.scenes.terms import TERMS, Term
+from tests.scenes import box
 
 RAYS, OCCLUSION, PHOTONS, DENSITIES = "rays", "occlusion rays", "photons", "density estimates"
 
@@ -45,14 +46,6 @@ def with_material(scene: Scene, **changes: Any) -> Scene:
     return attrs.evolve(
         scene, objects=tuple(attrs.evolve(o, material=attrs.evolve(o.material, **changes)) for o in scene.objects)
     )
-
-
-def box(name: str, low: tuple[float, float, float], side: float = 1.0) -> Object:
-    """An axis-aligned cube whose normals point outwards."""
-    corners = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)]) * side + np.array(low)
-    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    faces = np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))], np.int32)
-    return Object(name, Mesh(corners, faces), Material((0.5, 0.5, 0.5)))
 
 
 def apart() -> Scene:

@@ -13,13 +13,14 @@ from termwise.renderer.plan import skipped
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TERMS, total
+from tests.scenes import small
 
 ROUNDING = 1e-12
 
 
 def made(name: str, compiled: bool, **changes) -> Scene:
     side = 12 if compiled else 4
-    scene = attrs.evolve(load(name), resolution=(side, side), **changes)
+    scene = small(name, side, **changes)
     return attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=300 if compiled else 40))
 
 

@@ -10,9 +10,10 @@ from termwise.renderer.plan import camera_rays
 from termwise.renderer.terms.ambient import SPLIT
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
-from tests.unit.test_adaptive import assert_same_mean, tile_means
+from tests.kernels.test_adaptive import assert_same_mean, tile_means
+from tests.scenes import small
 
-BOX = attrs.evolve(load("cornell_box"), resolution=(8, 6))
+BOX = small("cornell_box", 8, 6)
 _UNSHADOWED = load("cornell_box_unshadowed")
 PHOTONS = attrs.evolve(_UNSHADOWED, resolution=(8, 6), photons=attrs.evolve(_UNSHADOWED.photons, count=500))
 

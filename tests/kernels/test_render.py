@@ -27,7 +27,7 @@ def replicate_means(scene: Scene, term: str, count: int, **options) -> np.ndarra
     return np.array([render(scene, term, seed=100 + r, **options).mean.mean() for r in range(count)])
 
 
-def small(scene: Scene, compiled: bool, size: int = 16) -> Scene:
+def shrunk(scene: Scene, compiled: bool, size: int = 16) -> Scene:
     """The scene at a size that plain Python can render too."""
     side = size if compiled else 3
     photons = attrs.evolve(scene.photons, count=2000 if compiled else 60)
@@ -88,14 +88,14 @@ def test_paper_ambient_is_pi_times_too_bright(compiled):
 
 def test_closed_room_is_dark(compiled):
     """Unlimited occlusion inside a closed mesh: AO = 0 in every pixel, that is, no ray leaks."""
-    assert (render(small(closed_box(), compiled), "ambient", samples=64 if compiled else 8).mean == 0.0).all()
+    assert (render(shrunk(closed_box(), compiled), "ambient", samples=64 if compiled else 8).mean == 0.0).all()
 
 
 def test_convex_body_is_not_occluded_by_itself(compiled):
     """The outside of a convex mesh, AO = 1 exactly: no face occludes its neighbour or itself."""
     scene = unit_sphere(subdivisions=2 if compiled else 1)
     outside = attrs.evolve(
-        small(scene, compiled),
+        shrunk(scene, compiled),
         camera=Camera((0.0, -4.0, 0.0), (0.0, 0.0, 0.0), fov=12.0),
         ambient=Ambient((1.0, 1.0, 1.0)),
     )
@@ -124,7 +124,7 @@ def first_hit_of_facets(scene: Scene) -> np.ndarray:
 
 def test_unit_sphere_first_hit(compiled):
     """0.5 for albedo .5 and I = pi; on the facets exactly rho I cos / (pi d²), by each direct variant of that scope."""
-    scene = small(unit_sphere(scope="first-hit"), compiled)
+    scene = shrunk(unit_sphere(scope="first-hit"), compiled)
     expected = first_hit_of_facets(scene)
     assert expected == pytest.approx(0.5, rel=0.03)
     image = render(scene, "direct", variant="next-event", samples=2).mean
@@ -137,7 +137,7 @@ def test_unit_sphere_all_bounces(variant, compiled):
 
     (The operator of diffuse scattering in a closed body averages, so E_dir / (1 - rho) bounds its solution.)
     """
-    scene = small(unit_sphere(), compiled, 12)
+    scene = shrunk(unit_sphere(), compiled, 12)
     if not compiled:
         scene = attrs.evolve(scene, objects=unit_sphere(subdivisions=2).objects)
     edge = scene.objects[0].mesh
@@ -158,7 +158,7 @@ def test_unit_sphere_all_bounces(variant, compiled):
 
 def test_nearest_is_the_paper_s_estimate_times_k_minus_one_over_k(compiled):
     """The same photons, hence the same images to the last bits but for the factor."""
-    scene = small(unit_sphere(), compiled, 6)
+    scene = shrunk(unit_sphere(), compiled, 6)
     paper, nearest = (render(scene, "direct", variant=name, samples=2).mean for name in ("paper", "nearest"))
     k = scene.photons.nearest
     np.testing.assert_allclose(nearest, paper * (k - 1) / k, rtol=1e-13)
@@ -170,7 +170,7 @@ def test_unweighted_photons_brighten_a_closed_sphere(compiled):
 
     E in a sphere is that of first hits over 1 minus the albedo that scatters it; the ratio is free of facets and of k.
     """
-    scene = small(unit_sphere(), compiled, 8)
+    scene = shrunk(unit_sphere(), compiled, 8)
     scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, survival=0.8))
     count, samples = (12, 4) if compiled else (6, 2)
     plain, bright = (
@@ -264,7 +264,7 @@ def test_shadow_of_the_disc_is_exact():
 
 @pytest.mark.parametrize(("roughness", "mu_o", "albedo"), [(0.3, 0.7, 0.9658), (0.6, 1.0, 0.8558), (1.0, 1.0, 0.4616)])
 def test_specular_furnace(roughness, mu_o, albedo, compiled):
-    """A plate under a white sky: gloss A, A the lobe's albedo (quadrature, tests/unit/test_microfacet.py).
+    """A plate under a white sky: gloss A, A the lobe's albedo (quadrature, tests/kernels/test_microfacet.py).
 
     The paper's BRDF gives 4 / pi of it.
     """
@@ -354,7 +354,7 @@ def test_background_is_the_sky_and_the_front_of_lights():
 
 def widened(name: str, compiled: bool) -> Scene:
     """A scene of the library, a few tiles wide where that is affordable."""
-    return attrs.evolve(small(load(name), compiled), resolution=(70, 40) if compiled else (5, 3))
+    return attrs.evolve(shrunk(load(name), compiled), resolution=(70, 40) if compiled else (5, 3))
 
 
 @pytest.fixture(scope="module")
@@ -463,7 +463,7 @@ def skippable() -> list[tuple[str, Scene, str]]:
 @pytest.mark.parametrize(("term", "scene", "reason"), skippable())
 def test_a_skip_changes_no_byte(term, scene, reason, compiled):
     """Every variant of a skipped term, rendered with the skip disabled, gives the same zeros to the byte."""
-    scene = small(scene, compiled, 12)
+    scene = shrunk(scene, compiled, 12)
     assert reason in (skipped(scene, term) or "")
     with_skip = render(scene, term, samples=2).mean
     with Engine(scene, without=("term", "photons")) as engine:
@@ -475,7 +475,7 @@ def test_a_skip_changes_no_byte(term, scene, reason, compiled):
 def test_nothing_is_skipped_that_contributes(compiled):
     """The converse: on the library, a term is skipped only where its image, rendered anyway, is zero."""
     for name in library():
-        scene = small(load(name), compiled, 8)
+        scene = shrunk(load(name), compiled, 8)
         for term in TERMS:
             if skipped(scene, term) is None and term != "background":
                 assert render(scene, term, samples=1).mean.any(), (name, term)
@@ -499,7 +499,7 @@ def test_plan_gives_a_reason_for_every_step():
 @pytest.mark.parametrize("scattering", ["diffuse", "full"])
 def test_terms_together_have_the_same_bits(scattering, compiled):
     """All terms by one engine are the images one by one; two replicates, each with maps of its own."""
-    scene = small(load("monkey"), compiled, 8)
+    scene = shrunk(load("monkey"), compiled, 8)
     scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, scattering=scattering))
     found = renderer.render_terms(scene, dict.fromkeys(TERMS), samples=3, replicates=2, seed=4)
     assert list(found) == list(TERMS)
@@ -521,7 +521,7 @@ def test_terms_together_have_the_same_bits(scattering, compiled):
 )
 def test_photon_maps_are_shared(scattering, variant, maps_kept, traced, compiled, monkeypatch):
     """Direct and specular trace a map once where both mean the same, as long as memory lasts; no bit changes."""
-    scene = small(load("monkey"), compiled, 8)
+    scene = shrunk(load("monkey"), compiled, 8)
     scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, scattering=scattering, count=400))
     wanted = renderer.find("direct", variant), renderer.find("specular")
     images = []
@@ -552,7 +552,7 @@ def test_photon_maps_are_shared(scattering, variant, maps_kept, traced, compiled
 @pytest.mark.parametrize("hits", [0, 3, 64])
 def test_camera_rays_are_shared(scene, changes, hits, compiled, monkeypatch):
     """All terms look along the same rays: those that there is room for are traced once, and no bit changes."""
-    scene = attrs.evolve(small(load(scene), compiled, 8), draw_lights=True)
+    scene = attrs.evolve(shrunk(load(scene), compiled, 8), draw_lights=True)
     if "pixel" in changes:
         scene = attrs.evolve(scene, camera=attrs.evolve(scene.camera, **changes))
     else:
@@ -578,7 +578,7 @@ def test_camera_rays_are_shared(scene, changes, hits, compiled, monkeypatch):
 
 def test_the_plan_counts_the_camera_rays_that_are_shared(compiled, monkeypatch):
     """In the box, of which every pixel sees something; with room for all, and for six primary hits of a pixel."""
-    scene = attrs.evolve(small(load("cornell_box"), compiled, 8), draw_lights=True)
+    scene = attrs.evolve(shrunk(load("cornell_box"), compiled, 8), draw_lights=True)
     width, height = scene.resolution
     variants: dict[Term, renderer.Variant] = {term: renderer.find(term) for term in TERMS}
     for room in (64, 6):
@@ -649,7 +649,7 @@ def test_bad_arguments(options, message):
 
 def test_variance_is_that_of_the_mean(compiled):
     """Mean and variance over replicates against NumPy on the replicates; NaN for a single one."""
-    scene = small(disc_over_plane(height=0.8, radius=0.6), compiled, 4)
+    scene = shrunk(disc_over_plane(height=0.8, radius=0.6), compiled, 4)
     image = render(scene, "ambient", samples=4, replicates=5, seed=3)
     single = []
     with Engine(scene) as engine:
@@ -663,7 +663,7 @@ def test_variance_is_that_of_the_mean(compiled):
 
 def test_counts_that_are_asked_for_change_no_bit(compiled):
     """The first N samples are the first N samples, whatever other N are looked at."""
-    scene = small(load("two_cubes"), compiled, 8)
+    scene = shrunk(load("two_cubes"), compiled, 8)
     for term in TERMS:
         with Engine(scene, threads=1) as engine:
             asked = list(engine.prefixes(renderer.find(term), samples=5, seed=1, replicate=0, counts=iter((1, 3, 5))))
