@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane (each compiles kernels and renders) and of the audit: more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare variants view bench stress docs test audit lint format clean distclean
+.PHONY: help install compare variants view bench stress docs quick test audit lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -46,9 +46,14 @@ docs: .venv/.installed ## Build the manual, without network, where any warning i
 	@.venv/bin/python -m sphinx -W --keep-going -q -d $(OUT)/.doctrees docs $(OUT)/docs
 	@echo "$(OUT)/docs/index.html"
 
-test: .venv/.installed ## Run the tests, then the unit tests again as plain Python
+test: .venv/.installed ## Run the tests, then those of the kernels again as plain Python
+	@.venv/bin/python -m tests.warm $(JOBS)
 	.venv/bin/python -m pytest -q -n $(JOBS)
-	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q tests/unit
+	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) tests/kernels
+
+quick: .venv/.installed ## Tests of a minute or so, for work on the sources: no Mitsuba, no browser, nothing slow
+	@.venv/bin/python -m tests.warm $(JOBS)
+	.venv/bin/python -m pytest -q -n $(JOBS) -m "not slow" tests/kernels tests/unit tests/verdict
 
 audit: .venv/.installed ## Judge the verdicts: their false alarms, and the faults planted in our sources that they catch; OUT=out
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.audit --out $(OUT) --jobs $(JOBS)

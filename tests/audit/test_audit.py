@@ -1,6 +1,7 @@
 """The audit's own machinery, on few runs: `make audit` counts the many."""
 
 import json
+from collections.abc import Iterator
 
 import attrs
 import numpy as np
@@ -37,24 +38,29 @@ def test_a_plant_that_does_not_fit_is_an_error(before):
         attrs.evolve(GAIN, before=before).changed(ROOT)
 
 
-def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[faults.Tree]:
+    """One copy of the sources for all tests: its kernels are compiled once."""
+    with pytest.MonkeyPatch.context() as patch, faults.Tree(seed=3) as copy:
+        patch.setenv("TERMWISE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield copy
+
+
+def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree):
     """The gain is exact, the sources stay as they are, and what follows in the same copy has no fault."""
-    monkeypatch.setenv("TERMWISE_CACHE", str(tmp_path))
     source = (ROOT / GAIN.path).read_bytes()
-    with faults.Tree(seed=3) as tree:
-        fault = tree.replicates(TINY, GAIN)
-        sound = tree.replicates(TINY)
-        assert (tree.root / "termwise" / GAIN.path).read_bytes() == source
+    fault = tree.replicates(TINY, GAIN)
+    sound = tree.replicates(TINY)
+    assert (tree.root / "termwise" / GAIN.path).read_bytes() == source
     assert fault.shape == (faults.REPLICATES, 4, 4, 3)
     np.testing.assert_allclose(fault, 1.01 * sound, rtol=1e-6)
     assert (ROOT / GAIN.path).read_bytes() == source
 
 
-def test_a_crash_catches_nothing(tmp_path, monkeypatch):
+def test_a_crash_catches_nothing(tree):
     """A fault that ends the process is no catch of the verdict: it ends the audit, by name."""
-    monkeypatch.setenv("TERMWISE_CACHE", str(tmp_path))
     crash = attrs.evolve(GAIN, after='raise ArithmeticError("planted")')
-    with faults.Tree(seed=3) as tree, pytest.raises(RuntimeError, match="planted"):
+    with pytest.raises(RuntimeError, match="planted"):
         tree.replicates(TINY, crash)
 
 
