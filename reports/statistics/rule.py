@@ -71,7 +71,8 @@ def decide(
     allowance : relative bias that the row is known to have; added to what is tolerated and to the margin.
     margin : relative; see `margin_of`.
     kernel : bool
-        A kernel-based row against anything but its kernel reference: only its means are judged; the rest is a warning.
+        A kernel-based row against anything but its kernel reference: an error is proven by its means (or by invalid
+        values) alone, one of the shape or of a place is a warning. EQUIVALENT still asks for a shape error below 3 %.
     judged : false for rows that measure a known difference (prefixes, against `correct` or `physical`): the verdict,
         and all at the family's level, is None.
     predicted_bias : relative; named by the sentence of a row that is not judged.

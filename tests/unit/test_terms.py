@@ -22,7 +22,7 @@ from termwise.reports.jobs import cells
 from termwise.scenes import reads, terms
 from termwise.scenes.limits import Limit, correct, physical
 from termwise.scenes.load import load
-from termwise.scenes.model import PointLight, Scene
+from termwise.scenes.model import Material, PointLight, Scene
 from termwise.scenes.terms import TABLE, TERMS, total
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -109,6 +109,33 @@ def test_all_names_in_the_table_are_fields(scene: Scene):
     assert terms.named() | {*terms.PHOTONS, *reference.UNLOADED} <= fields
     limits = {field.name for field in attrs.fields(Limit)}
     assert {name for row in TABLE.values() for name in row.limit} <= limits - {"term", "factor", "transport"}
+
+
+def other(value: Any) -> Any:
+    """Another value of the type of a field, allowed wherever it is a share; black turns white, all else black."""
+    match value:
+        case bool():
+            return not value
+        case float():
+            return 0.25 if value != 0.25 else 0.75
+        case (float(), float(), float()):
+            return (0.0, 0.0, 0.0) if any(value) else (1.0, 1.0, 1.0)
+    raise TypeError(f"{value!r}: say here what else such a field may be")
+
+
+SEEN = dict.fromkeys((each, field) for row in TABLE.values() for each in row.reads if each.of for field in each.fields)
+
+
+@pytest.mark.parametrize(("each", "field"), SEEN, ids=[field for _, field in SEEN])
+def test_what_a_term_sees_of_fields_depends_on_each(scene: Scene, each: reads.Read, field: str):
+    """A field hidden behind an `of` that ignores it would be in no key. All objects are glossy and have a colour."""
+    mixed = Material(color=(0.5, 0.5, 0.5), gloss=0.5)
+    start = attrs.evolve(scene, objects=tuple(attrs.evolve(thing, material=mixed) for thing in scene.objects))
+    after = changed(
+        start, field.split("."), lambda thing, step: attrs.evolve(thing, **{step: other(getattr(thing, step))})
+    )
+    assert each.of is not None
+    assert each.of(start) != each.of(after)
 
 
 def test_what_is_in_every_key(scene: Scene, record_property):
