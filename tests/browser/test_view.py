@@ -44,7 +44,7 @@ def small(folder) -> Path:
     """A scene that renders in no time."""
     from termwise.scenes.save import save
 
-    save(small("cornell_box", 40, 24), folder / "small.toml")
+    save(scenes.small("cornell_box", 40, 24), folder / "small.toml")
     return folder / "small.toml"
 
 
