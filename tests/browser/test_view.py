@@ -27,6 +27,7 @@ from termwise.reports.results.exr import read_exr
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TERMS, total
+from tests import scenes
 
 # Everything is waited for until it is there; what has not come by then never will, however busy the machine.
 WAIT_S = 300
