@@ -62,8 +62,9 @@ def test_a_wrong_estimator_is_caught(tmp_path):
     assert sorted(prefixes) == [1, 2, 4]
 
 
-def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path):
+def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path, monkeypatch):
     """A noisy one, undecided at 4 replicates: with a budget each (seed, count) is asked for once."""
+    monkeypatch.setattr(run, "cache_folder", lambda: tmp_path / "cache")
     asked = []
 
     def noisy(scene, samples, seed):
