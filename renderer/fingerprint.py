@@ -24,6 +24,7 @@ from termwise.scenes.store import ROOT, sources_digest
 
 _INSTALLED = tuple(Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib", "purelib", "platlib"))
 _OURS = "renderer", "reference", "scenes", "reports"
+_DATA = (int, float, complex, str, bytes, tuple, list, dict, np.ndarray)  # of a module, which may change as it runs
 _PLAIN = (int, float, complex, str, bytes, type(None), type(...))
 
 
@@ -111,7 +112,10 @@ class _Absorber:
         else:
             self._add(Path(file).read_bytes())
             for name, value in vars(module).items():
-                if isinstance(value, types.ModuleType | types.FunctionType | type):
+                own = not name.startswith("__")
+                if isinstance(value, types.ModuleType | types.FunctionType | type) or (
+                    own and isinstance(value, _DATA)
+                ):
                     self.absorb(value, f"{module.__name__}.{name}")
 
     def _function(self, function: types.FunctionType, name: str) -> None:
@@ -130,7 +134,7 @@ class _Absorber:
             if isinstance(constant, types.CodeType):
                 self._code(constant, variables)
             else:
-                self._add(constant)
+                self.absorb(constant, "a constant")  # a set among them has another order in each process
         for name in code.co_names:
             if name in variables:
                 self.absorb(variables[name], name)

@@ -20,7 +20,6 @@ from termwise.scenes.model import Scene
 from termwise.scenes.store import ROOT, sources_digest
 
 if TYPE_CHECKING:
-    from termwise.renderer.engine import Engine
     from termwise.renderer.terms.variant import Chain, Variant
 
 Prefix = tuple[int, np.ndarray, float]
@@ -70,6 +69,19 @@ class Request:
             self.progress(samples, self.samples)
 
 
+class Engine(Protocol):
+    """What an estimator takes of `renderer.engine.Engine`: naming it would have each of its edits recompile kernels."""
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        ...
+
+    def summed(self, variant: "Variant", driver: Callable[..., None], request: Request) -> Iterator[Prefix]:
+        """The prefixes of a kernel's sums."""
+        ...
+
+
 class Estimator(Protocol):
     """What a variant is computed by.
 
@@ -90,7 +102,7 @@ class Estimator(Protocol):
         """What decides its bits beside scene and request; an `Unknown` says why that cannot be told."""
         ...
 
-    def prefixes(self, engine: "Engine", variant: "Variant", request: Request) -> Iterator[Prefix]:
+    def prefixes(self, engine: Engine, variant: "Variant", request: Request) -> Iterator[Prefix]:
         """The images of one replicate, one for each of `request.counts`."""
         ...
 
@@ -115,7 +127,7 @@ class Compiled:
         """Of the renderer's sources: a kernel may reach any of them."""
         return sources_digest(ROOT / "renderer", ROOT / "scenes")
 
-    def prefixes(self, engine: "Engine", variant: "Variant", request: Request) -> Iterator[Prefix]:
+    def prefixes(self, engine: Engine, variant: "Variant", request: Request) -> Iterator[Prefix]:
         """Sums of samples by tiles, on the engine's threads."""
         return engine.summed(variant, self.driver, request)
 
@@ -148,7 +160,7 @@ class Called:
         """
         return fingerprint(self.function) if self.identity is None else self.identity
 
-    def prefixes(self, engine: "Engine", variant: "Variant", request: Request) -> Iterator[Prefix]:
+    def prefixes(self, engine: Engine, variant: "Variant", request: Request) -> Iterator[Prefix]:
         """Call the function for each count, all from one seed.
 
         Raises

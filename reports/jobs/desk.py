@@ -174,6 +174,7 @@ class Desk:
                 spent = self._compile_seconds.get(job.key, 0.0)
                 self._compile_seconds[job.key] = spent + outcome.compile_seconds
             self.say(job.what)
+        self._done = self._steps  # those that were dropped will not come
 
     @staticmethod
     def _send(jobs: Iterable[Job]) -> None:

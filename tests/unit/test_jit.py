@@ -117,6 +117,11 @@ def test_digest_changes_with_what_a_module_reaches_and_nothing_else(copy):
     after = run(copy, code.replace("{0!r}", repr(modules))).split()
     changed = {name for name, a, b in zip(modules.split(), before, after, strict=True) if a != b}
     assert changed == {"sky", "terms.specular"}
+    # What runs kernels is nothing that they reach: an edit of it compiles none anew.
+    for name in ("engine", "plan"):
+        with (copy / f"termwise/renderer/{name}.py").open("a") as file:
+            file.write("# a comment\n")
+    assert run(copy, code.replace("{0!r}", repr(modules))).split() == after
 
 
 def test_digest_covers_what_annotations_alone_name():
