@@ -66,6 +66,7 @@ def random_soup(rng: np.random.Generator, faces: int, size: float = 0.4) -> np.n
     return rng.uniform(-1, 1, (faces, 1, 3)) + rng.normal(scale=size, size=(faces, 3, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("faces", [1, 3, 5, 60, 800])
 def test_closest_hit_against_brute_force(faces, compiled):
     """Random triangles and rays: same face, t to 1e-9 relative, for all rays not within 1e-9 of an edge."""
@@ -115,6 +116,7 @@ def closed_meshes(compiled: bool) -> list[trimesh.Trimesh]:
     return [trimesh.creation.icosphere(subdivisions=3 if compiled else 1), trimesh.creation.box(), knot]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.0, 10.0, 1e4])
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_closed_meshes_have_no_hole(scale, offset, compiled):

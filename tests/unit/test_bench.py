@@ -139,6 +139,7 @@ def test_bad_input_is_one_line(arguments, named, monkeypatch, capsys, tmp_path):
         assert words in captured.err
 
 
+@pytest.mark.slow
 def test_a_tiny_scaling_run_says_all(monkeypatch, tmp_path):
     """One load of 4 x 4 pixels on two axes, in processes of their own: times, memory, and threads beside processes."""
     tiny = scaling.Axis({16: Load("two_cubes", "ambient", resolution=4, samples=2)}, "sample", lambda load: 32)
@@ -158,6 +159,7 @@ def test_a_tiny_scaling_run_says_all(monkeypatch, tmp_path):
     assert (tmp_path / "bench" / "index.html").is_file()
 
 
+@pytest.mark.slow
 def test_a_tiny_run_of_reductions_says_all(compiled):
     """4 x 4 pixels, two batches: reductions with the estimators they serve, cost the product of two ratios."""
     if not compiled:

@@ -81,6 +81,7 @@ def test_ring_bias_at_normal_view(rings, expected):
     assert bias == pytest.approx(expected, abs=5e-3)
 
 
+@pytest.mark.slow
 def test_chain_of_a_narrow_lobe_is_geometric():
     """F0 = 1 and roughness 0.05: A = 1 near the normal, where the chain stays: q + q² + ..., q = gloss lobe."""
     mirror = material(0.05, gloss=0.6)
@@ -98,6 +99,7 @@ def test_chain_of_the_lambertian_lobe_is_geometric():
         np.testing.assert_allclose(found, 0.2 * np.cumsum(0.4 ** np.arange(1, 4)), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_gain_of_isotropic_light():
     """q = gloss (diffuse + lobe A): A -> 1 for a mirror of F0 = 1."""
     mirror = material(0.05, gloss=0.8)

@@ -73,6 +73,7 @@ def test_holm_of_a_textbook_example():
     assert len(tiles.holm(np.array([]))) == 0
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_equal_runs_more_often_than_the_level():
     """Bias, error and time scatter between 300 pairs of runs, times with bursts that all replicates of a row share."""
     rng = np.random.default_rng(3)

@@ -132,6 +132,7 @@ def test_the_example_is_the_one_that_is_printed():
     assert block.strip() in example
 
 
+@pytest.mark.slow
 def test_the_walk_through(tmp_path: Path):
     """All of it, as one program, in a process of its own: it adds to the tables."""
     program = tmp_path / "extending.py"

@@ -244,6 +244,7 @@ ROW = """
 """
 
 
+@pytest.mark.slow
 def test_a_fifth_term_is_a_row_and_a_file(tmp_path: Path):
     """Glow, added to a copy of the sources: planned, rendered, measured and in the sum, with keys of its own."""
     for package in ("renderer", "scenes", "reports", "reference"):

@@ -173,6 +173,7 @@ KINDS = ["of a camera", "random", "from a point inside", "from around", "from fa
 KINDS += ["in an axis' plane", "along an axis"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("kind", KINDS)
 def test_equal_to_the_last_bit(name, kind):

@@ -19,6 +19,7 @@ def noise_for(standard_error: float, side: int) -> float:
     return standard_error * side * np.sqrt(8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "noise"), [("gamma", 0.3), ("gamma", 2.0), ("lognormal", 1.0)])
 def test_nulls_raise_no_more_alarms_than_the_level(replicates, picture, law, noise):
     """400 runs of one row each, ours and reference from one law, with a small object in the picture.
@@ -89,6 +90,7 @@ def test_a_half_pixel_shift_is_caught_at_half_a_tenth_percent(replicates, pictur
         assert any(reason.startswith("shape") for reason in verdict.reasons)
 
 
+@pytest.mark.slow
 def test_the_detectable_bias_is_found_in_80_percent_of_runs():
     """Each of 200 runs is given, in its noisiest channel, exactly the bias that this very run prints.
 

@@ -94,6 +94,7 @@ def rule(ours, reference, objects, tests, allowance, margin, kernel) -> str:
     return "EQUIVALENT"
 
 
+@pytest.mark.slow
 def test_the_rule_written_twice(rng, replicates, picture):
     """160 random rows: gains, tiles, ramps and noises around every limit. Expected: the same word in each."""
     y, x = np.mgrid[:32, :48]
@@ -234,6 +235,7 @@ def photons(rng, per_replicate: int) -> np.ndarray:
     return steady + counts.repeat(4, axis=1).repeat(4, axis=2) * np.full(3, event / 16)
 
 
+@pytest.mark.slow
 def test_events_that_no_replicate_met_prove_nothing(rng):
     """One photon a replicate: an object of 1/12 of the image gets none of 16 in a quarter of the runs, unbiased."""
     objects = np.zeros((48, 48), int)

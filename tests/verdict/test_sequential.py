@@ -14,7 +14,7 @@ from termwise.reports.statistics.rule import decide
 from termwise.reports.statistics.sequential import LOOKS, Item, Ledger, go_on
 from termwise.reports.statistics.verdict import MARGIN, Verdict
 
-RUNS = 1000
+RUNS = 300
 FIRST = 16
 OURS, REFERENCE = Item("ours", "a"), Item("reference", "b")
 
@@ -64,8 +64,9 @@ def most(level: float) -> float:
     return float(stats.binom.ppf(0.999, RUNS, level))
 
 
+@pytest.mark.slow
 def test_peeking_at_nulls_raises_no_more_alarms_than_the_level(replicates):
-    """1000 nulls, too noisy to be EQUIVALENT, so that each is looked at four times.
+    """300 nulls, too noisy to be EQUIVALENT, so that each is looked at four times.
 
     Expected: BIASED in at most 5 %; the luminance alone (f = 0) is found at a quarter of 5 % in at most 5 % of the
     runs and not in next to none, and at 5 % a look in more than 5 %: without the quarters the level is lost.
@@ -83,8 +84,9 @@ def test_peeking_at_nulls_raises_no_more_alarms_than_the_level(replicates):
     assert whole > most(0.05)
 
 
+@pytest.mark.slow
 def test_a_bias_of_exactly_the_margin_is_called_equivalent_at_most_at_the_level(replicates):
-    """1000 runs of a gain of 1.01, 600 tests in the run, so that BIASED ends few of them early.
+    """300 runs of a gain of 1.01, 600 tests in the run, so that BIASED ends few of them early.
 
     Expected: EQUIVALENT in at most 5 %; were all four looks taken with 97.5 % intervals, in at most 5 % as well, and
     with 90 % intervals in more.

@@ -112,6 +112,7 @@ def test_holm_and_benjamini_hochberg_by_their_definitions(picture):
     assert 0 < min(rejected) + 1 < max(rejected), "none and many are visited"
 
 
+@pytest.mark.slow
 def test_holm_keeps_the_level_of_a_map():
     """1000 nulls of 16 tiles: any tile is found in 5 % of maps; independent tiles leave 1 - (1 - 5 %/16)^16."""
     rng = np.random.default_rng(25)
@@ -120,6 +121,7 @@ def test_holm_keeps_the_level_of_a_map():
     assert low <= alarms <= high
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_right_is_rarely_named():
     """Red is off in a quarter of the tiles, so luminance finds them; green or blue is named in 5 % of maps at most."""
     rng = np.random.default_rng(26)
@@ -136,6 +138,7 @@ def test_a_channel_that_is_right_is_rarely_named():
     assert np.mean(reds) > 3.5
 
 
+@pytest.mark.slow
 def test_benjamini_hochberg_keeps_the_share_of_false_tiles():
     """64 tiles, 16 of them off by a few standard errors: of those found 5 % × 48/64 are false on average, 200 maps."""
     rng = np.random.default_rng(27)
