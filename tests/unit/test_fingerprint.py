@@ -76,6 +76,7 @@ def test_what_has_no_content_is_named():
     assert Called(stateful, "mine").fingerprint() == "mine"
 
 
+@pytest.mark.slow
 def test_it_is_the_same_in_every_process():
     """Sets have another order for each hash seed."""
     source = "def f(scene, samples, seed):\n    return seed in {'red', 'green', 'blue', 'grey'}"

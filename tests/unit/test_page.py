@@ -284,6 +284,7 @@ def pages(run: Path) -> list[Path]:
     return [run / "index.html", run / "method.html", *sorted((run / "scenes").glob("*.html"))]
 
 
+@pytest.mark.slow
 def test_all_pages_exist_and_every_link_leads_somewhere(run, variants_run):
     assert len(pages(run)) == 2 + 2 * len(SCENES)  # of each scene its verdicts and its viewer
     assert len(pages(variants_run)) == 2 + 2 * len(SCENES) - 1  # none of a changed scene
@@ -299,6 +300,7 @@ def test_all_pages_exist_and_every_link_leads_somewhere(run, variants_run):
                 assert anchor in read(target).ids, f"{path.name}: {address}"
 
 
+@pytest.mark.slow
 def test_pictures_have_alternative_texts_and_tables_have_headers(run, variants_run):
     for path in [*pages(run), *pages(variants_run)]:
         reader = read(path)
@@ -306,6 +308,7 @@ def test_pictures_have_alternative_texts_and_tables_have_headers(run, variants_r
         assert all(header.get("scope") in ("row", "col") for header in reader.headers)
 
 
+@pytest.mark.slow
 def test_index_names_every_verdict_and_what_failed_first(run):
     results = json.loads((run / "results.json").read_text("utf-8"))
     text = read(run / "index.html").text
@@ -325,6 +328,7 @@ def table_of(path: Path) -> list[list[str]]:
     return [[re.sub(r"<[^>]*>", "", cell).strip() for cell in row] for row in cells]
 
 
+@pytest.mark.slow
 def test_the_table_holds_every_judged_row_the_gravest_first(run):
     rows = json.loads((run / "results.json").read_text("utf-8"))["cells"]
     largest = {
@@ -342,6 +346,7 @@ def test_the_table_holds_every_judged_row_the_gravest_first(run):
     assert order == sorted(order)
 
 
+@pytest.mark.slow
 def test_every_variant_leads_to_its_equation(run, variants_run):
     for folder in (run, variants_run):
         text = (folder / "index.html").read_text("utf-8")
@@ -353,6 +358,7 @@ def test_every_variant_leads_to_its_equation(run, variants_run):
     assert all(f"../method.html#ambient-{name}" in text for name in VARIANTS["ambient"])
 
 
+@pytest.mark.slow
 def test_every_row_has_its_command_and_the_table_every_row(run):
     command = "termwise compare two_cubes --study &#39;&lt;standard&gt;&#39;"
     assert command in (run / "index.html").read_text("utf-8")
@@ -367,6 +373,7 @@ def test_every_row_has_its_command_and_the_table_every_row(run):
     assert "results.csv" in read(run / "index.html").links
 
 
+@pytest.mark.slow
 def test_a_scene_that_failed_is_named_first(run, tmp_path):
     results = json.loads((run / "results.json").read_text("utf-8"))
     lost = SCENES[1]
@@ -406,6 +413,7 @@ def test_seconds_of_the_reference_to_our_error():
     assert "speed_up" not in absent
 
 
+@pytest.mark.slow
 def test_page_of_variants_shows_prediction_beside_measurement(variants_run):
     text = read(variants_run / "index.html").text.replace(digits.THIN, " ")
     assert text.count("+27.32 %") == 2 * (2 * len(VARIANTS["specular"]) + len(VARIANTS["ambient"]))
@@ -419,6 +427,7 @@ def test_page_of_variants_shows_prediction_beside_measurement(variants_run):
         assert title in text
 
 
+@pytest.mark.slow
 def test_page_of_variants_shows_settings_apart_from_scenes(variants_run):
     text = read(variants_run / "index.html").text.replace(digits.THIN, " ")
     for words in ("no-shadow", "Nothing is dark <there>", 'shadows = "paper"', 'camera.pixel = "corner"'):
@@ -433,6 +442,7 @@ def test_page_of_variants_shows_settings_apart_from_scenes(variants_run):
     assert f'href="{SCENES[0]}.html"' in (variants_run / "scenes" / f"{SCENES[-1]}.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_scene_page_shows_sentences_settings_and_skips(run):
     text = read(run / "scenes" / "cornell_box.html").text
     results = json.loads((run / "results.json").read_text("utf-8"))
@@ -451,6 +461,7 @@ def test_scene_page_shows_sentences_settings_and_skips(run):
     assert "0.5, 0.5, 0.8" in text
 
 
+@pytest.mark.slow
 def test_scene_page_shows_maps_and_histograms_of_tiles(run):
     reader = read(run / "scenes" / "cornell_box.html")
     text = reader.text.replace(digits.THIN, " ")
@@ -496,6 +507,7 @@ def test_p_histogram_has_a_panel_for_each_size_that_is_tested():
     assert charts.p_histograms([size_of(8, 36, 16)]) is None
 
 
+@pytest.mark.slow
 def test_an_earlier_run_leaves_nothing(run, tmp_path):
     synthesise(tmp_path)
     (tmp_path / "scenes").mkdir()

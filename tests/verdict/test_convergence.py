@@ -56,6 +56,7 @@ def test_confusion_matrix(estimator, cause):
     assert sum(cause in each for each in causes) >= 15, causes
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth():
     """Bias 0.1, a = 1, against a noisy reference: 90 % intervals cover both in at least 80 % of 40 runs."""
     rng = np.random.default_rng(22)

@@ -260,6 +260,7 @@ def test_events_that_no_replicate_met_prove_nothing(rng):
     assert verdict.place.startswith("object 1")
 
 
+@pytest.mark.slow
 def test_ordinary_noise_has_no_rare_events(rng, replicates, picture):
     """Means over 64 pixels of gamma noise: nothing is lost of any proof."""
     for noise, count in ((0.05, 4), (0.3, 8), (1.0, 16), (0.3, 32)):

@@ -58,6 +58,7 @@ def test_p_of_each_tile_is_scipys(replicates, picture, exact):
             assert channels[:, row, column] == pytest.approx(p_of(a, b), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_p_is_uniform_under_the_null():
     """1024, 256 and 64 independent tiles of gamma pixels; over 40 maps of 8 px the test's own p is uniform, too."""
     rng = np.random.default_rng(22)
