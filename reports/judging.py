@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import attrs
 import numpy as np
 import xarray
 
@@ -25,14 +26,15 @@ MIDDLE_GREY = 0.18
 
 
 def judge(
-    images: Sequence[np.ndarray],
-    reference: Sequence[np.ndarray],
+    images: np.ndarray | Sequence[np.ndarray],
+    reference: np.ndarray | Sequence[np.ndarray],
     folder: Path,
     *,
     exact: bool = False,
     noiseless: bool = False,
     names: Sequence[str] = (),
     reference_names: Sequence[str] = (),
+    notes: Sequence[str] = (),
     exposure: float | None = None,
     command: str = "",
 ) -> dict[str, Any]:
@@ -42,6 +44,7 @@ def judge(
     ----------
     images, reference, exact, noiseless, names, reference_names
         As for `reports.statistics.verdict.judge`.
+    notes : what was done to the images when they were read; warnings of the verdict.
     folder : gets `results.json`, `results.nc` and `images.exr`; made if missing.
     exposure : factor on the radiance in pictures; by default the mean of the reference is shown as middle grey.
     command : what was asked for, to stand on the page.
@@ -60,6 +63,7 @@ def judge(
         images, reference, exact=exact, noiseless=noiseless, names=names, reference_names=reference_names
     )
     outcome = rule.decide(statistics, tests=statistics.tests)
+    outcome = attrs.evolve(outcome, warnings=(*notes, *outcome.warnings))
     maps = None if statistics.absent else tiles.tile_maps(statistics)
     with np.errstate(invalid="ignore", over="ignore"):  # the verdict has named what is not finite
         ours, truth = (

@@ -13,10 +13,9 @@ from typing import Any, ClassVar, Literal
 
 import attrs
 import numpy as np
-import OpenEXR
 import trimesh
 
-from termwise.scenes import model, strict
+from termwise.scenes import images, model, strict
 from termwise.scenes.strict import FileError
 
 LIBRARY = Path(__file__).parent / "library"
@@ -204,11 +203,9 @@ def _read_texture(folder: Path, name: str) -> np.ndarray:
     if not path.is_file():
         raise ValueError(f"{where}: no such file in {folder}")
     try:
-        with OpenEXR.File(str(path)) as file:
-            pixels = file.channels()["RGB"].pixels
-    except Exception as error:  # OpenEXR raises RuntimeError, TypeError or KeyError alike
-        raise ValueError(f"{where}: is not an OpenEXR image with RGB channels ({error})") from None
-    texture = np.ascontiguousarray(pixels, np.float32)
+        texture = np.ascontiguousarray(images.read_one(path).pixels, np.float32)
+    except ValueError as error:
+        raise ValueError(f"{where}: {str(error).removeprefix(f'{path}: ')}") from None
     if not (np.isfinite(texture).all() and (texture >= 0).all()):
         raise ValueError(f"{where}: holds NaN, infinite or negative texels: allowed are finite ones >= 0")
     return texture

@@ -231,7 +231,11 @@ class TermImage:
         """Mean and variance of the mean of `images` (K, H, W, 3), accumulated in float64."""
         count = len(images)
         mean = np.asarray(np.mean(images, axis=0, dtype=np.float64))
-        variance = np.var(images, axis=0, ddof=1, dtype=np.float64) / count if count > 1 else np.full_like(mean, np.nan)
+        # Image by image: `np.var` would hold the distances of all of them at once, in float64.
+        squares = np.zeros_like(mean)
+        for image in images:
+            squares += (image - mean) ** 2
+        variance = squares / (count - 1) / count if count > 1 else np.full_like(mean, np.nan)
         return cls(mean, variance, samples, count, seconds)
 
 

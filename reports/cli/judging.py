@@ -1,11 +1,9 @@
 """The verdict on the images of any renderer: judge."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from cyclopts import Parameter
 
 from termwise.reports.cli import terminal
@@ -17,7 +15,8 @@ def judge(
     reference: Annotated[list[Path], Parameter(consume_multiple=True)],
     reference_exact: Flag = False,
     noiseless: Flag = False,
-    part: str | None = None,
+    layer: str | None = None,
+    reference_layer: str | None = None,
     exposure: float | None = None,
     out: Path = Path("out"),
     json_: Json = False,
@@ -27,15 +26,18 @@ def judge(
     Parameters
     ----------
     images
-        OpenEXR replicates of one image (equal settings, different seeds), or folders of them. At least 4, better 16.
+        Replicates of one image (equal settings, different seeds), or folders of them: OpenEXR, NPY, NPZ, PFM, Radiance
+        HDR, float TIFF. At least 4, better 16.
     reference
         Replicates of the reference, files or folders.
     reference_exact
         The one reference image has no noise.
     noiseless
         The renderer has no noise: its replicates may all be the same image.
-    part
-        Name of the part to read where a file has several.
+    layer
+        Name of the layer to read where a file of ours has several of colour: Combined, or ViewLayer.Combined.
+    reference_layer
+        The same of the reference's files.
     exposure
         Factor on the radiance in the pictures; by default the reference's mean is shown as middle grey.
     out
@@ -43,18 +45,22 @@ def judge(
     """
     from termwise.reports import judging
     from termwise.reports.pages import judge as page
+    from termwise.scenes.images import replicates
 
-    files = {name: _files(name, given) for name, given in (("images", images), ("reference", reference))}
-    stacks = {name: [_read(path, part) for path in found] for name, found in files.items()}
+    if not images:
+        raise ValueError("images: none given: allowed are images of replicates, or folders of them")
+    ours, truth = replicates(images, layer), replicates(reference, reference_layer)
+    ours.check_window(truth)
     folder = terminal.folder(out / "judge")
     outcome = judging.judge(
-        stacks["images"],
-        stacks["reference"],
+        ours.pixels,
+        truth.pixels,
         folder,
         exact=reference_exact,
         noiseless=noiseless,
-        names=[str(path) for path in files["images"]],
-        reference_names=[str(path) for path in files["reference"]],
+        names=ours.names,
+        reference_names=truth.names,
+        notes=ours.notes + truth.notes,
         exposure=exposure,
         command=terminal.command(),
     )["verdict"]
@@ -72,32 +78,6 @@ def judge(
         terminal.say(_of_tiles(size))
     terminal.say(f"\nReport: {index.resolve()}")
     return 1 if outcome["verdict"] == "BIASED" else 0
-
-
-def _files(name: str, given: Sequence[Path]) -> list[Path]:
-    """The files named, and those of the folders named."""
-    if not given:
-        raise ValueError(f"{name}: none given: allowed are OpenEXR files, or folders of them")
-    found = []
-    for path in given:
-        inside = sorted(path.glob("*.exr")) if path.is_dir() else [path]
-        if not inside:
-            raise ValueError(f"{path}: holds no .exr file: allowed are folders of OpenEXR replicates")
-        found += inside
-    return found
-
-
-def _read(path: Path, part: str | None) -> np.ndarray:
-    from termwise.reports.results.exr import read_exr
-
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file: allowed are OpenEXR images")
-    parts = read_exr(path)
-    if part is None and len(parts) == 1:
-        return next(iter(parts.values()))
-    if part not in parts:
-        raise ValueError(f"{path}: part = {part!r}: allowed are {', '.join(map(repr, parts))}")
-    return parts[part]
 
 
 def _of_tiles(size: dict[str, Any]) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
+from termwise.scenes.images import openexr
 from termwise.scenes.store import write_atomically
 
 
@@ -29,22 +30,5 @@ def write_exr(path: Path, parts: dict[str, np.ndarray], header: dict[str, str]) 
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:
-    """The RGB images of an OpenEXR file by part name, (H, W, 3) float32; a ValueError says what is wrong.
-
-    A file of one part without a name gives the key "".
-    """
-    try:
-        with OpenEXR.File(str(path)) as file:
-            found = {}
-            for part in file.parts:
-                channels = part.channels
-                name = part.name() if callable(part.name) else part.name
-                if "RGB" in channels or "RGBA" in channels:
-                    pixels = channels["RGB" if "RGB" in channels else "RGBA"].pixels
-                    found[name or ""] = np.asarray(pixels[..., :3], np.float32)
-    except Exception as error:  # OpenEXR raises RuntimeError, TypeError and KeyError alike
-        why = " ".join(str(error).split())
-        raise ValueError(f"{path}: is not an OpenEXR image ({why}): allowed are whole ones") from None
-    if not found:
-        raise ValueError(f"{path}: holds no RGB channels: allowed are OpenEXR images with R, G and B")
-    return found
+    """The layers of an OpenEXR file by name, (H, W, 3) float32; a ValueError says what is wrong."""
+    return {name: image.pixels for name, image in openexr.read_all(path).items()}

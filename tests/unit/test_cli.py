@@ -130,10 +130,10 @@ SMALL = "--samples", 1, "--resolution", 4, 4
             ["--kind", "pie", "waterfall"],
         ),
         (["judge"], ["--reference"]),
-        (["judge", "--reference", "scene.toml"], ["images: none given", "OpenEXR files", "folders"]),
+        (["judge", "--reference", "scene.toml"], ["images: none given", "folders"]),
         (["judge", "missing.exr", "--reference", "missing.exr"], ["missing.exr", "no such file"]),
-        (["judge", ".", "--reference", "."], [".", "holds no .exr file", "folders"]),
-        (["judge", "scene.toml", "--reference", "scene.toml"], ["scene.toml", "not an OpenEXR", "allowed"]),
+        (["judge", ".", "--reference", "."], [".", "holds no image", ".exr", "folders"]),
+        (["judge", "scene.toml", "--reference", "scene.toml"], ["scene.toml", "no image of a kind", "allowed"]),
     ],
     ids=lambda value: " ".join(map(str, value)) if value and isinstance(value[0], str) else None,
 )
@@ -173,7 +173,7 @@ def test_bad_arguments(arguments: list[Any], named: list[str], run: Command):
         ("[camera]", 'scope = "second-hit"\n[camera]', ["scope = 'second-hit'", "'first-hit' or 'all'"]),
         ("[camera]", "[photons]\ncount = 0\n[camera]", ["photons", "count = 0", "[1, "]),
         ("[camera]", '[sky]\ntexture = "no.exr"\n[camera]', ["sky", "'no.exr'", "no such file"]),
-        ("[camera]", '[sky]\ntexture = "no.ply"\n[camera]', ["sky", "'no.ply'", "not an OpenEXR"]),
+        ("[camera]", '[sky]\ntexture = "no.ply"\n[camera]', ["sky", "'no.ply'", "no image of a kind"]),
         *(
             ('shape = "box"\nname = "box"\nsize = [1, 1, 1]', f'shape = "mesh"\nname = "box"\nfile = "{file}"', named)
             for file, named in (
@@ -357,8 +357,8 @@ def test_judge_refuses(run: Command, replicates: Callable[..., list[str]]):
     refused(run("judge", *ours[:3], "--reference", *reference), "ours: 3 replicates", "at least 4")
     refused(run("judge", ours[0], "--reference", *reference), "ours: 1 replicate", "seed of its own")
     refused(run("judge", *ours, "--reference", *reference[:3]), "reference: 3 replicates", "at least 4")
-    refused(run("judge", *ours, "--reference", *wide), "(12, 12, 3)", "(16, 16, 3)")
-    refused(run("judge", *ours[:3], wide[0], "--reference", *reference), wide[0], "(16, 16, 3)", ours[0])
+    refused(run("judge", *ours, "--reference", *wide), ours[0], "12 x 12", wide[0], "16 x 16")
+    refused(run("judge", *ours[:3], wide[0], "--reference", *reference), wide[0], "16 x 16", ours[0])
     refused(run("judge", *ours, ours[2], "--reference", *reference), ours[2], "same image", "equal seeds")
     refused(run("judge", *ours, "--reference", *ours), ours[0], "same image", "equal seeds")
 
@@ -376,23 +376,51 @@ def test_judge_and_invalid_pixels(run: Command, replicates: Callable[..., list[s
     refused(run("judge", *reference, "--reference", *ours), ours[1], "blue is nan at x 7, y 5", "finite")
 
 
-def test_judge_chooses_a_part(run: Command, replicates: Callable[..., list[str]]):
-    reference, files = replicates("ref", seed=2, count=4, size=12), []
+def test_judge_names_layers_for_each_side(run: Command):
     rng = np.random.default_rng(4)
-    for k in range(4):
-        files.append(f"parts_{k}.exr")
-        write_exr(Path(files[-1]), {"direct": rng.random((12, 12, 3)), "glow": np.zeros((12, 12, 3))}, {})
-    refused(run("judge", *files, "--reference", *reference), files[0], "part = None", "'direct', 'glow'")
-    refused(
-        run("judge", *files, "--reference", *reference, "--part", "all"), files[0], "part = 'all'", "'direct', 'glow'"
-    )
-    assert run("judge", *files, "--reference", *files[:1], "--reference-exact", "--part", "glow").status == 0
+    sides: dict[str, list[str]] = {"ours": [], "reference": []}
+    lines = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+    for k in range(8):
+        beauty, other = rng.gamma(25, 0.04, (2, 12, 12, 3)).astype(np.float32)
+        layers = (
+            {"ViewLayer.Combined": beauty, "ViewLayer.Albedo": 3 * other} if k < 4 else {"rgba": beauty, "n": other}
+        )
+        channels = {
+            f"{name}.{letter}": pixels[..., at].copy()
+            for name, pixels in layers.items()
+            for at, letter in enumerate("RGB" if k < 4 else "rgb")
+        }
+        OpenEXR.File(dict(lines), channels).write(f"{k}.exr")
+        sides["ours" if k < 4 else "reference"].append(f"{k}.exr")
+    judge = ["judge", *sides["ours"], "--reference", *sides["reference"]]
+    refused(run(*judge), "0.exr", "'ViewLayer.Albedo', 'ViewLayer.Combined'", "--layer")
+    refused(run(*judge, "--layer", "Combined"), "4.exr", "'n', 'rgba'", "--reference-layer")
+    refused(run(*judge, "--layer", "glow"), "0.exr", "layer = 'glow'", "'ViewLayer.Albedo'")
+    assert run(*judge, "--layer", "Combined", "--reference-layer", "rgba").status == 0
+    assert run(*judge, "--layer", "Albedo", "--reference-layer", "rgba").status == 1
+
+
+def test_judge_places_crops_where_they_belong(run: Command):
+    """Equal crops of a picture at other places are no equal images, and the note stands with the verdict."""
+    rng = np.random.default_rng(4)
+    window = {"type": OpenEXR.scanlineimage, "displayWindow": ((0, 0), (31, 31))}
+    names: dict[int, list[str]] = {0: [], 10: []}
+    for at, files in names.items():
+        for k in range(4):
+            files.append(f"{at}_{k}.exr")
+            placed = {**window, "dataWindow": ((at, at), (at + 15, at + 15))}
+            OpenEXR.File(placed, {"RGB": rng.gamma(25, 0.04, (16, 16, 3)).astype(np.float32)}).write(files[-1])
+    outcome = run("judge", *names[0], "--reference", *names[10], "--json")
+    assert outcome.status == 1
+    assert json.loads(outcome.output)["verdict"] == "BIASED"
+    assert "0_0.exr and 3 more: 768 pixels outside its data window are black" in outcome.messages[0]
+    assert "768 pixels outside its data window" in Path("out/judge/index.html").read_text("utf-8")
 
 
 def test_judge_needs_colour(run: Command):
     pixels = np.zeros((4, 4), np.float32)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": pixels}).write("depth.exr")
-    refused(run("judge", "depth.exr", "--reference", "depth.exr"), "depth.exr", "no RGB channels")
+    refused(run("judge", "depth.exr", "--reference", "depth.exr"), "depth.exr", "no colour")
 
 
 @pytest.mark.parametrize(

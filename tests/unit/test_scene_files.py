@@ -8,6 +8,7 @@ from pathlib import Path
 
 import attrs
 import numpy as np
+import OpenEXR
 import pytest
 import trimesh
 from hypothesis import given, settings
@@ -119,7 +120,10 @@ BAD = {
     "mesh with a nan": (mesh_object("nan.ply"), ["'m'", "vertices[1]", "finite"]),
     "mesh with a wild index": (mesh_object("index.ply"), ["'m'", "file = 'index.ply'"]),
     "texture that is missing": (GOOD + '[sky]\ntexture = "no.exr"\n', ["sky", "texture = 'no.exr'", "no such file"]),
-    "texture that is none": (GOOD + '[sky]\ntexture = "text.ply"\n', ["sky", "texture = 'text.ply'", "OpenEXR"]),
+    "texture that is none": (
+        GOOD + '[sky]\ntexture = "text.ply"\n',
+        ["sky", "texture = 'text.ply'", "no image of a kind", "OpenEXR"],
+    ),
     "sky of both kinds": (GOOD + '[sky]\ntexture = "a.exr"\ncolor = [0.0, 0.0, 0.0]\n', ["sky", "one of the two"]),
 }
 
@@ -186,6 +190,23 @@ def test_missing_and_unreadable_files(tmp_path):
         with pytest.raises(FileError, match=reason) as caught:
             load(tmp_path / name)
         assert str(tmp_path / name) in str(caught.value)
+
+
+def test_the_texture_of_a_sky_is_one_whole_image(tmp_path):
+    """RGBA and any other format that holds the same; not the first of two parts, nor what is left of a file."""
+    rgb = np.random.default_rng(1).random((16, 16, 3)).astype(np.float32)
+    lines = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+    OpenEXR.File(lines, {"RGBA": np.dstack([rgb, rgb[..., :1]])}).write(str(tmp_path / "a.EXR"))
+    np.save(tmp_path / "a.npy", rgb)
+    for name in ("a.EXR", "a.npy"):
+        texture = load(write(tmp_path, GOOD + f'[sky]\ntexture = "{name}"\n')).sky.texture
+        assert texture is not None
+        assert np.array_equal(texture, rgb)
+    OpenEXR.File([OpenEXR.Part(dict(lines), {"RGB": rgb}, name) for name in "ab"]).write(str(tmp_path / "two.exr"))
+    (tmp_path / "cut.exr").write_bytes((tmp_path / "two.exr").read_bytes()[:-500])
+    for name, words in (("two.exr", "'a', 'b'"), ("cut.exr", "is cut short")):
+        with pytest.raises(FileError, match=f"sky: texture = '{name}': .*{words}"):
+            load(write(tmp_path, GOOD + f'[sky]\ntexture = "{name}"\n'))
 
 
 def test_good_file(tmp_path):

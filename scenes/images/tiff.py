@@ -1,0 +1,99 @@
+"""Float TIFF: one page of grey, RGB or RGBA."""
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termwise.scenes.images.image import Image, check_size, cut_short, in_rec709
+
+if TYPE_CHECKING:
+    from tifffile import TiffPage
+
+_GREY, _RGB = 1, 2
+
+
+def read(path: Path, layer: str | None) -> list[Image]:
+    """The image of a TIFF file; a ValueError says what is wrong."""
+    import tifffile  # it takes as long to load as all the others, and few need it
+
+    if layer is not None:
+        raise ValueError(f"{path}: layer = {layer!r}: layers of TIFF are not read: allowed is to name none")
+    try:
+        with _heard() as complaints, tifffile.TiffFile(path) as file:
+            pages = len(file.pages)
+            if pages != 1:
+                raise ValueError(f"{path}: has {pages} pages: allowed is one" if pages else _broken(path, "no page"))
+            page = file.pages.first
+            _check(path, page)
+            values = page.asarray()
+            if complaints:  # a tag that cannot be read is left out, and the image is another one without it
+                raise ValueError(complaints[0])
+            white, primaries = (page.tags.valueof(code) for code in (318, 319))
+    except ValueError as error:
+        if str(error).startswith(f"{path}: "):
+            raise
+        raise ValueError(_broken(path, str(error))) from None
+    except Exception as error:  # TiffFileError, struct.error, zlib.error, KeyError, ...: whatever its tags hold
+        raise ValueError(_broken(path, str(error) or type(error).__name__)) from None
+    if page.planarconfig == 2 and values.ndim == 3:  # channels stand behind one another
+        values = np.moveaxis(values, 0, -1)
+    image = Image.of_array(path, values)
+    if white is None and primaries is None:
+        return [image]
+    if white is None or primaries is None:
+        raise ValueError(f"{path}: says its white or its primaries alone: allowed are both or none")
+    fractions = np.array([*primaries, *white], np.float64).reshape(-1, 2)
+    pixels, notes = in_rec709(path, image.pixels, (fractions[:, 0] / fractions[:, 1]).tolist())
+    return [Image(pixels, image.window, image.quantum, notes)]
+
+
+@contextlib.contextmanager
+def _heard() -> Iterator[list[str]]:
+    """What the library logs as an error, which it does in place of raising it; nothing is printed."""
+    logger, complaints = logging.getLogger("tifffile"), []
+
+    def hear(record: logging.LogRecord) -> bool:
+        if record.levelno >= logging.ERROR:
+            complaints.append(record.getMessage())
+        return False
+
+    logger.addFilter(hear)
+    try:
+        yield complaints
+    finally:
+        logger.removeFilter(hear)
+
+
+def _broken(path: Path, why: str) -> str:
+    return (
+        f"{path}: is cut short, damaged, or of a kind that is not read ({' '.join(why.split())}): write it uncompressed"
+    )
+
+
+def _check(path: Path, page: "TiffPage") -> None:
+    """Refuse what cannot be read as it was meant."""
+    check_size(path, page.imagewidth, page.imagelength)
+    if page.dtype is None or page.dtype.kind != "f":
+        raise ValueError(
+            f"{path}: holds {page.bitspersample}-bit integers, rounded and mostly encoded for a screen, not radiance: "
+            "write float TIFF, OpenEXR (float, ZIP), NPY or PFM"
+        )
+    if page.photometric not in (_GREY, _RGB):
+        raise ValueError(f"{path}: photometric interpretation {page.photometric}: allowed are grey and RGB")
+    if page.tags.valueof(274, 1) != 1:
+        raise ValueError(f"{path}: orientation {page.tags.valueof(274)}: allowed is 1, the top row first")
+    if 34675 in page.tags:
+        raise ValueError(f"{path}: has an ICC profile, which may mean other colours: write linear Rec. 709 without one")
+    size = path.stat().st_size
+    there = sum(
+        count > 0 and at + count <= size for at, count in zip(page.dataoffsets, page.databytecounts, strict=True)
+    )
+    if there < len(page.dataoffsets) or not page.dataoffsets:
+        raise cut_short(path, f"{there} of {len(page.dataoffsets)} pieces of its pixels are whole")
+    stored, needed = sum(page.databytecounts), page.nbytes
+    if page.compression == 1 and stored < needed:
+        raise cut_short(path, f"{stored} of {needed} bytes of pixels")
