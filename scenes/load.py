@@ -7,7 +7,6 @@ Errors are one line: file, field, value, and what is allowed.
 """
 
 import math
-import re
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -15,7 +14,7 @@ import attrs
 import numpy as np
 import trimesh
 
-from termwise.scenes import images, model, strict
+from termwise.scenes import images, meshes, model, strict
 from termwise.scenes.strict import FileError
 
 LIBRARY = Path(__file__).parent / "library"
@@ -76,7 +75,8 @@ class _Placed:
 
     def build(self, folder: Path) -> model.Object:
         vertices, faces = self.geometry(folder)
-        placed = self.scale * np.asarray(vertices, np.float64) @ self._rotation().T + self.translation
+        with np.errstate(over="ignore", invalid="ignore"):  # the mesh refuses what is not finite
+            placed = self.scale * np.asarray(vertices, np.float64) @ self._rotation().T + self.translation
         try:
             mesh = model.Mesh.from_arrays(placed, faces, smooth=self.normals == "smooth")
         except ValueError as error:
@@ -144,32 +144,17 @@ class _MeshFile(_Placed):
     def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
         path = folder / self.file
         where = self.where()
-        if path.suffix.lower() not in (".ply", ".obj", ".stl", ".glb"):
-            raise ValueError(f"{where}: allowed are files that end in .ply, .obj, .stl or .glb")
+        if path.suffix.lower() not in meshes.READERS:
+            *others, last = meshes.READERS
+            raise ValueError(f"{where}: allowed are files that end in {', '.join(others)} or {last}")
         if not path.is_file():
             raise ValueError(f"{where}: no such file in {folder}")
         try:
-            # process=False: merging would change vertex count and, with smooth normals, the shading.
-            loaded = trimesh.load(path, process=False, force="mesh")
-        except Exception as error:  # trimesh's readers raise whatever their parser meets
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise ValueError(f"{where}: is not a mesh that can be read ({reason})") from None
-        if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
-            raise ValueError(f"{where}: holds no triangles: allowed is a mesh with at least one")
-        declared = _declared_faces(path)
-        if len(loaded.faces) < declared:
-            raise ValueError(f"{where}: holds {len(loaded.faces)} of {declared} faces: it is cut short")
-        return np.asarray(loaded.vertices), np.asarray(loaded.faces)
-
-
-def _declared_faces(path: Path) -> int:
-    """Number of polygons that a PLY file's header promises; 0 for other files. trimesh takes what it finds."""
-    if path.suffix.lower() != ".ply":
-        return 0
-    with path.open("rb") as file:
-        header = file.read(4096).partition(b"end_header")[0]
-    match = re.search(rb"element\s+face\s+(\d+)", header)
-    return int(match[1]) if match else 0
+            return meshes.read(path)
+        except meshes.MeshError as error:
+            raise ValueError(f"{where}: {error}") from None
+        except OSError as error:
+            raise ValueError(f"{where}: cannot be read: {error.strerror or error}") from None
 
 
 _SHAPES: dict[str, type[_Placed]] = {kind.shape: kind for kind in (_Rectangle, _Box, _Sphere, _MeshFile)}

@@ -85,8 +85,9 @@ class Mesh:
 
     @classmethod
     def from_arrays(cls, vertices: Any, faces: Any, *, smooth: bool = False) -> "Mesh":
-        """Check shapes, indices and finiteness; area-weighted vertex normals if `smooth`."""
-        vertices = np.ascontiguousarray(np.asarray(vertices, np.float32), np.float64)
+        """Check shapes, indices and finiteness; area-weighted normals where faces meet in a place if `smooth`."""
+        with np.errstate(over="ignore"):  # refused below
+            vertices = np.ascontiguousarray(np.asarray(vertices, np.float32), np.float64)
         faces = np.ascontiguousarray(faces, np.int64)
         if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,):
             raise ValueError(
@@ -120,14 +121,16 @@ class Mesh:
 
 
 def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted normals of the faces that meet in a place: files split vertices where a texture has a seam."""
+    _, places = np.unique(vertices + 0.0, axis=0, return_inverse=True)  # -0.0 is 0.0
     corners = vertices[faces]
     weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
     for corner in range(3):
-        np.add.at(normals, faces[:, corner], weighted)
+        np.add.at(normals, places[faces[:, corner]], weighted)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     unit = np.divide(normals, length, out=np.tile([0.0, 0.0, 1.0], (len(normals), 1)), where=length > 0)
-    return unit.astype(np.float32).astype(np.float64)
+    return unit.astype(np.float32).astype(np.float64)[places]
 
 
 @attrs.frozen(eq=False)
