@@ -22,6 +22,7 @@ from termwise.reports.statistics.replicates import (
     InvalidPixel,
     bands,
     check,
+    check_mask,
     labels,
     luminance_of,
     stacked,
@@ -101,9 +102,11 @@ def measure(
     *,
     objects: np.ndarray | None = None,
     object_names: Sequence[str] = (),
+    mask: np.ndarray | None = None,
     scale: float | None = None,
     exact: bool = False,
     noiseless: bool = True,
+    allow_negative: bool = False,
     names: Sequence[str] = (),
     reference_names: Sequence[str] = (),
 ) -> Statistics:
@@ -118,11 +121,14 @@ def measure(
     objects : (H, W) integer, optional
         Object index per pixel, -1 for none; each object present is judged on its own too.
     object_names : name of the object of each index.
+    mask : (H, W) bool, optional
+        Pixels that are compared; all that is outside counts for nothing.
     scale : radiance that stands for the term's mean where the reference is 0 everywhere: the mean of the total. Without
         it, ours' own mean.
     exact : the one reference image has no noise.
     noiseless : bool
         Ours may be free of noise: where all its replicates are the same image that is a warning, not equal seeds.
+    allow_negative : negative radiance is no error, on both sides.
     names, reference_names : what the replicates are called in messages, say their files.
 
     Returns
@@ -138,11 +144,16 @@ def measure(
     """
     ours, reference = stacked("ours", ours, names), stacked("reference", reference, reference_names)
     check(ours, reference, objects, scale, exact)
+    if mask is not None:
+        check_mask(mask, ours)
+        objects = None if objects is None else np.where(mask, objects, -1)
     count, sizes = len(ours), (len(ours), len(reference))
     called = labels("ours", count, names) + labels("reference", len(reference), reference_names)
-    sums = _Sums(sizes, objects)
-    equality, invalid = Equality(sum(sizes)), Invalid(called, count)
+    sums = _Sums(sizes, objects, mask)
+    equality, invalid = Equality(sum(sizes)), Invalid(called, count, allow_negative)
     for top, band in bands(ours, reference):
+        if mask is not None:
+            band[:, ~mask[top : top + band.shape[1]]] = 0.0
         equality.read(band)
         sums.read(top, invalid.replaced(top, band))
 
@@ -150,6 +161,8 @@ def measure(
     warnings += _few("ours", count) + ([] if exact else _few("the reference", len(reference)))
     reference_is_zero = bool(equality.zero[count:].all())
     term_mean = sums.term_mean(reference_is_zero, scale)
+    if not term_mean > 0:
+        raise ValueError(f"reference: its mean luminance is {term_mean:.3g}; a relative bias needs one above 0")
     compare, tiles = sums.comparison(term_mean), {side: sums.tiles(side) for side in TILE_SIDES}
     rare, rare_luminance = sums.rare_events()
     regions, pixels = sums.region_means(), Gram(sums.pixel_products / (3 * sums.pixels), sizes)
@@ -215,11 +228,11 @@ class _Sums:
     brightest : the largest value.
     """
 
-    def __init__(self, sizes: tuple[int, int], objects: np.ndarray | None) -> None:
+    def __init__(self, sizes: tuple[int, int], objects: np.ndarray | None, mask: np.ndarray | None = None) -> None:
         everyone = sum(sizes)
         present = np.array([], dtype=int) if objects is None else np.unique(objects)
         self.sizes = sizes
-        self.objects, self.objects_present = objects, present[present >= 0]
+        self.objects, self.objects_present, self.mask = objects, present[present >= 0], mask
         self.pixel_products, self.block_products = (np.zeros((everyone, everyone)) for _ in range(2))
         self.reference_square = 0.0
         self.regions = np.zeros((1 + len(self.objects_present), everyone, 3))
@@ -234,15 +247,23 @@ class _Sums:
         self.brightest = max(self.brightest, float(band.max()))
         self.pixel_products += inner_products(band - band.mean(axis=0))
         self.reference_square += np.sum(luminance[self.sizes[0] :] ** 2)
-        blocks, areas = block_sums(luminance, 2)
-        self.block_products += inner_products((blocks - blocks.mean(axis=0)) / np.sqrt(areas))
-        sums, areas = block_sums(np.moveaxis(band, -1, 1), TILE_SIDES[0])
+        blocks, areas = self._block_sums(top, luminance, 2)
+        self.block_products += inner_products((blocks - blocks.mean(axis=0)) / np.sqrt(np.maximum(areas, 1)))
+        sums, areas = self._block_sums(top, np.moveaxis(band, -1, 1), TILE_SIDES[0])
         self._tile_rows.append(sums)
         self._tile_areas.append(areas)
         self.regions[0] += sums.sum(axis=(2, 3))
-        self.areas[0] += luminance[0].size
+        self.areas[0] += luminance[0].size if self.mask is None else self.mask[top : top + band.shape[1]].sum()
         if self.objects is not None:
             self._read_objects(self.objects[top : top + band.shape[1]], band)
+
+    def _block_sums(self, top: int, values: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+        """`block_sums` of rows from `top` on; areas count the pixels in the mask."""
+        sums, areas = block_sums(values, side)
+        if self.mask is not None:
+            inside = self.mask[top : top + values.shape[-2]].astype(np.float64)
+            areas = block_sums(inside, side)[0]
+        return sums, areas
 
     def _read_objects(self, objects: np.ndarray, band: np.ndarray) -> None:
         at = np.asarray(objects).ravel()
@@ -276,7 +297,7 @@ class _Sums:
         """Means over tiles, smaller ones at the right and lower border; `side` is a multiple of the smallest's."""
         step = side // TILE_SIDES[0]
         sums, areas = self._smallest_tiles()
-        areas = block_sums(areas[None], step)[0][0]
+        areas = np.maximum(block_sums(areas[None], step)[0][0], 1)  # 0 where the mask leaves nothing
         channels = block_sums(sums, step)[0] / areas
         return _Tiles(channels, luminance_of(np.moveaxis(channels, 1, -1)), areas)
 
@@ -315,7 +336,7 @@ class _Sums:
     def mean_square(self, term_mean: float) -> dict[int, Estimate]:
         """θ of luminance over blocks of 2 and 8 px, relative to `term_mean`², with its floor."""
         sums, areas = self._smallest_tiles()
-        tiles = luminance_of(np.moveaxis(sums / areas, 1, -1))
+        tiles = luminance_of(np.moveaxis(sums / np.maximum(areas, 1), 1, -1))
         tile_products = inner_products((tiles - tiles.mean(axis=0)) * np.sqrt(areas))
         bright = float(np.sqrt(self.reference_square / (self.sizes[1] * self.pixels))) / term_mean
         error = np.hypot(TERM_FLOOR, ULP_FLOOR * np.finfo(np.float32).eps * bright)

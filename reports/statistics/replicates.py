@@ -59,6 +59,14 @@ def check(
         raise ValueError(f"scale is {scale}; it must be finite and positive")
 
 
+def check_mask(mask: np.ndarray, ours: np.ndarray) -> None:
+    """Refuse a mask that does not fit, or that leaves nothing, with a ValueError."""
+    if mask.shape != ours.shape[1:3] or mask.dtype != bool:
+        raise ValueError(f"mask: {mask.dtype} {mask.shape}; allowed is a bool map {ours.shape[1:3]}")
+    if not mask.any():
+        raise ValueError("mask: leaves out every pixel; allowed is one that keeps some")
+
+
 def _counted(replicates: int) -> str:
     return f"{replicates} replicate{'' if replicates == 1 else 's'}"
 
@@ -101,28 +109,33 @@ class InvalidPixel:
 class Invalid:
     """Values that no radiance can have, of the first `count` replicates, which are ours; a reference has none.
 
+    Filters with negative lobes make negative pixels of right radiance: `allow_negative` lets them pass.
+
     Attributes
     ----------
     non_finite, negative : values that are NaN, infinite (or beyond float32), or negative.
     first : the first of each band.
     """
 
-    def __init__(self, labels: Sequence[str], count: int) -> None:
-        self.labels, self.count = labels, count
+    def __init__(self, labels: Sequence[str], count: int, allow_negative: bool = False) -> None:
+        self.labels, self.count, self.allow_negative = labels, count, allow_negative
         self.non_finite = self.negative = 0
         self.first: list[InvalidPixel] = []
 
     def replaced(self, top: int, band: np.ndarray) -> np.ndarray:
         """The band with the reference's mean for what is not finite; ValueError for an invalid reference."""
         broken = ~(np.abs(band) <= np.finfo(np.float32).max)  # so written, it holds for NaN too
-        wrong = broken | (band < 0)
+        wrong = broken if self.allow_negative else broken | (band < 0)
         if not wrong.any():
             return band
         ours, reference = band[: self.count], band[self.count :]
         if wrong[self.count :].any():
             first = _pixels(reference, wrong[self.count :], top)[0]
             label = self.labels[self.count + first.replicate]
-            raise ValueError(f"{label}: {first}; a reference is finite and ≥ 0")
+            allowed = (
+                "finite" if self.allow_negative else "finite and ≥ 0 (a filter with negative lobes: --allow-negative)"
+            )
+            raise ValueError(f"{label}: {first}; a reference is {allowed}")
         self.first += _pixels(ours, wrong[: self.count], top)
         self.non_finite += int(np.count_nonzero(broken))
         self.negative += int(np.count_nonzero(wrong & ~broken))

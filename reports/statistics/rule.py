@@ -49,6 +49,7 @@ def decide(
     kind: Kind = "right",
     allowance: float = 0.0,
     margin: float = MARGIN,
+    level: float = LEVEL,
     kernel: bool = False,
     judged: bool = True,
     predicted_bias: float | None = None,
@@ -70,6 +71,7 @@ def decide(
     kind : a wrong variant is (NOT) AS PREDICTED by its own limit.
     allowance : relative bias that the row is known to have; added to what is tolerated and to the margin.
     margin : relative; see `margin_of`.
+    level : chance of any false alarm in the run.
     kernel : bool
         A kernel-based row against anything but its kernel reference: an error is proven by its means (or by invalid
         values) alone, one of the shape or of a place is a warning. EQUIVALENT still asks for a shape error below 3 %.
@@ -84,18 +86,18 @@ def decide(
     ValueError : for a value out of range.
     """
     _check(statistics, tests, looks, kind, kernel, judged)
-    _check_numbers(allowance=allowance, margin=margin, samples=samples, seconds=seconds)
-    level, outside, within = LEVEL / max(tests, 1) / looks, OUTSIDE / looks, margin + allowance
+    _check_numbers(allowance=allowance, margin=margin, level=level, samples=samples, seconds=seconds)
+    each, outside, within = level / max(tests, 1) / looks, OUTSIDE / looks, margin + allowance
     limit = _limit(statistics, allowance)
-    proven, unproven, printed = _errors(statistics, level, limit, kernel)
-    questions = (*(each.text for each in unproven), *_open_questions(statistics, within, outside))
+    proven, unproven, printed = _errors(statistics, each, limit, kernel)
+    questions = (*(one.text for one in unproven), *_open_questions(statistics, within, outside))
     biased, equivalent = WORDS[kind]
     if not judged:
         word, reasons = None, ()
     elif statistics.absent:
         word, reasons = "ABSENT", (reason,) if reason else ()
     elif proven:
-        word, reasons = biased, tuple(each.text for each in proven)
+        word, reasons = biased, tuple(one.text for one in proven)
     elif not questions:
         word, reasons = equivalent, ()
     else:
@@ -108,17 +110,19 @@ def decide(
         verdict=word,
         sentence="",
         reasons=reasons,
-        **_intervals(statistics, level if due else None, limit, outside),
-        place=next((each.place for each in proven), tile_words(tile)),
+        **_intervals(statistics, each if due else None, limit, outside),
+        place=next((one.place for one in proven), tile_words(tile)),
         tile=tile,
+        samples_ratio=needed,
         samples_to_margin=samples_to_margin,
         seconds_to_margin=seconds_to_margin,
         margin=margin,
         allowance=allowance,
+        level=level,
         tests=tests if due else None,
         looks=looks,
         predicted_bias=predicted_bias,
-        warnings=statistics.warnings + tuple(f"{each.text} (printed, not judged)" for each in printed),
+        warnings=statistics.warnings + tuple(f"{one.text} (printed, not judged)" for one in printed),
     )
     said = sentence(found, statistics, kernel=kernel, tolerated=limit, needed=needed)
     return attrs.evolve(found, sentence=said)
@@ -134,15 +138,20 @@ def _check(statistics: Statistics, tests: int, looks: int, kind: str, kernel: bo
         raise ValueError(f"tests is {tests}; it counts all rows of the run, and this row alone makes {own}")
 
 
-def _check_numbers(*, allowance: float, margin: float, samples: int | None, seconds: float | None) -> None:
+def _check_numbers(
+    *, allowance: float, margin: float, level: float, samples: int | None, seconds: float | None
+) -> None:
     for name, value, allowed in (
         ("allowance", allowance, allowance >= 0),
         ("margin", margin, margin > 0),
+        ("level", level, level > 0),
         ("samples", samples, samples is None or samples > 0),
         ("seconds", seconds, seconds is None or seconds >= 0),
     ):
         if not allowed or (value is not None and not np.isfinite(value)):
             raise ValueError(f"{name} is {value}; it must be finite and positive")
+    if not level < 1:
+        raise ValueError(f"level is {level}; it must be below 1")
 
 
 def judge(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from termwise.reports.statistics.accumulation import Statistics
-from termwise.reports.statistics.verdict import LEVEL, OUTSIDE, POWER, SHAPE_LIMITS, WORDS, Verdict
+from termwise.reports.statistics.verdict import OUTSIDE, POWER, SHAPE_LIMITS, WORDS, Verdict
 
 
 def sentence(verdict: Verdict, statistics: Statistics, *, kernel: bool, tolerated: float, needed: float | None) -> str:
@@ -58,7 +58,7 @@ def _tested(verdict: Verdict, statistics: Statistics, kernel: bool, tolerated: f
     looks = "" if verdict.looks == 1 else f"/{verdict.looks} ({verdict.looks} looks)"
     return (
         f"{statistics.mean_tests} Welch tests of means ({regions}; red, green, blue; up to {tolerated:.2%} tolerated)"
-        f"{more}, of n = {verdict.tests} in the run, each at {LEVEL:.0%}/{verdict.tests}{looks}"
+        f"{more}, of n = {verdict.tests} in the run, each at {100 * verdict.level:g}%/{verdict.tests}{looks}"
     )
 
 

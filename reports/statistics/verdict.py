@@ -60,10 +60,13 @@ class Verdict:
     place : where the error is proven, else where it is the most likely.
     tile : x, y, width, height of the 16-px tile with the most significant bias.
     detectable_bias : smallest bias of the image's noisiest channel found in 80 % of runs.
+    samples_ratio : float or None
+        Times the samples of both sides that an unbiased row needs to be found EQUIVALENT in 80 % of runs; None where a
+        bias beyond the margin is likely so that no samples will do.
     samples_to_margin, seconds_to_margin : float or None
         What both sides need, at these K and R, to be found EQUIVALENT in 80 % of runs if unbiased; None
         where not asked for, or where a bias beyond the margin is likely so that no samples will do.
-    margin, allowance, tests, looks, predicted_bias
+    margin, allowance, level, tests, looks, predicted_bias
         As decided with.
     warnings : tuple of str
     """
@@ -83,10 +86,12 @@ class Verdict:
     place: str
     tile: tuple[int, int, int, int]
     detectable_bias: float | None
+    samples_ratio: float | None
     samples_to_margin: int | None
     seconds_to_margin: float | None
     margin: float
     allowance: float
+    level: float
     tests: int | None
     looks: int
     predicted_bias: float | None
