@@ -111,7 +111,10 @@ BAD = {
     "mesh of another kind": (mesh_object("mesh.fbx"), ["file = 'mesh.fbx'", ".ply, .obj, .stl or .glb"]),
     "mesh that is none": (mesh_object("text.ply"), ["file = 'text.ply'", "is not PLY"]),
     "mesh cut short": (mesh_object("short.ply"), ["file = 'short.ply'"]),
-    "mesh that promises more": (mesh_object("promise.ply"), ["file = 'promise.ply'", "1 of 3 rows of element face", "cut short"]),
+    "mesh that promises more": (
+        mesh_object("promise.ply"),
+        ["file = 'promise.ply'", "1 of 3 rows of element face", "cut short"],
+    ),
     "mesh without area": (mesh_object("line.ply"), ["'m'", "file = 'line.ply'", "no area"]),
     "name of the whole picture": (GOOD.replace('"a"', '"image"'), ["objects", "name = 'image'"]),
     "view of nothing": (GOOD.replace("[0.0, -3.0, 1.0]", "[0.0, 0.0, 0.0]"), ["target = (0.0, 0.0, 0.0)", "position"]),
