@@ -39,7 +39,7 @@ _FIELDS = (
     "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall "
     "reference_audit group at gain base setting reference_seconds_to_rmse speed_up command"
 ).split()
-_LISTS = "channels", "objects", "warnings", "reasons", "tiles"
+_LISTS = "channels", "objects", "warnings", "reasons", "tolerated", "tiles"
 
 
 def write(run: Path, *, report: Report = silent) -> Path:

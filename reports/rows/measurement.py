@@ -377,4 +377,4 @@ def decided(row: Measurement, tests: int, audited: list[dict[str, Any]], looks: 
 # A prefix of a run has errors, but neither bias nor verdict of its own.
 _NOT_JUDGED: dict[str, Any] = dict.fromkeys(
     field.name for field in attrs.fields(Verdict) if field.name != "regions"
-) | {"warnings": [], "reasons": [], "channels": [], "objects": [], "tiles": []}
+) | {"warnings": [], "reasons": [], "tolerated": [], "channels": [], "objects": [], "tiles": []}

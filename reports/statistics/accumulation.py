@@ -1,8 +1,9 @@
 """What a row measures, in one reading of all replicates by bands of rows: phase one of a verdict.
 
-Means are taken over the image, each object, and tiles of 8, 16 and 32 px, and compared by Welch's t (`welch`). The
-shape of the error is its mean square over blocks of 2 and 8 px (`jackknife`). A mean tells a bias of a whole place, a
-tile where it is, a block's square what cancels in every mean.
+Means are taken over the image, each object, tiles of 8, 16 and 32 px, windows of 8 px that overlap by half, and the
+outermost rows and columns, and compared by Welch's t (`welch`). The shape of the error is its mean square over single
+pixels and over blocks of 2 and 8 px (`jackknife`). A mean tells a bias of a whole place, a tile or a window where it
+is, a square what cancels in every mean.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,6 +16,7 @@ from termwise.reports.statistics.jackknife import Estimate, Gram, inner_products
 from termwise.reports.statistics.replicates import (
     CHANNELS,
     LISTED_PIXELS,
+    QUANTITIES,
     REPLICATES_WANTED,
     TILE_SIDES,
     Equality,
@@ -25,12 +27,27 @@ from termwise.reports.statistics.replicates import (
     check_mask,
     labels,
     luminance_of,
+    quantities,
     stacked,
 )
-from termwise.reports.statistics.welch import TERM_FLOOR, ULP_FLOOR, Comparison, largest_event, median_skewness, welch
+from termwise.reports.statistics.verdict import SHAPE_LIMITS
+from termwise.reports.statistics.welch import (
+    TERM_FLOOR,
+    ULP_FLOOR,
+    Comparison,
+    cumulants,
+    event_size,
+    largest_event,
+    median_skewness,
+    stack,
+    welch,
+)
 
 IMAGE = "image"
 """Name of the region that is the whole picture."""
+BORDERS = ("top row", "bottom row", "left column", "right column")
+CELL = 4
+"""Side of the blocks that tiles and windows are put together from."""
 
 
 @attrs.frozen(eq=False)
@@ -45,16 +62,20 @@ class Statistics:
     absent : both sides are exactly 0 everywhere.
     reference_is_zero : the reference is exactly 0 everywhere.
     term_mean : luminance mean of the reference in radiance, or the fallback where the reference is 0.
+    typical : luminance of the reference in radiance that half of the 8-px tiles with light exceed, or `term_mean` where
+        that is smaller: a few bright pixels, which may be most of the mean, do not set it.
     region_names : "image", then each object present.
     regions : Comparison of (regions, 3), means per region and channel, relative to the reference's mean there or to 10
         % of `term_mean` where that is larger.
     luminance : Comparison of (), the image's luminance, relative to `term_mean`.
-    tiles : luminance per tile of 8, 16 and 32 px, (ceil(H/side), ceil(W/side)), relative to the larger of the tile's
-        reference mean and `term_mean`.
-    channel_tiles : the same per channel, (3, ceil(H/side), ceil(W/side)).
+    tiles : luminance, red, green and blue per tile of 8, 16 and 32 px, (4, ceil(H/side), ceil(W/side)), relative to the
+        larger of the tile's reference mean and the typical one.
+    windows : the same of windows of 8 px, one every 4 px, (4, ceil(H/4) - 1, ceil(W/4) - 1).
+    borders : the same of the outermost rows and columns, (4, 4): top, bottom, left, right.
     tile_skewness : of the luminance of a tile over the replicates, bias-corrected: median over the tiles that vary, of
         the side where it is larger; 0 where no tile varies.
-    mean_square : θ of luminance over blocks of 2 and 8 px relative to `term_mean`².
+    mean_square : θ of luminance, red, green and blue over single pixels and blocks of 2 and 8 px, relative to the
+        square of the reference's mean, or of 10 % of `term_mean` where that is larger.
     bias_squared : θ over pixels and channels, in radiance².
     variance, reference_variance : of one replicate, mean over pixels and channels, in radiance².
     non_finite, negative : values of ours that are NaN, infinite (or beyond float32), or negative.
@@ -70,13 +91,15 @@ class Statistics:
     absent: bool
     reference_is_zero: bool
     term_mean: float
+    typical: float
     region_names: tuple[str, ...]
     regions: Comparison
     luminance: Comparison
     tiles: dict[int, Comparison]
-    channel_tiles: dict[int, Comparison]
+    windows: Comparison
+    borders: Comparison
     tile_skewness: dict[int, float]
-    mean_square: dict[int, Estimate]
+    mean_square: dict[int, tuple[Estimate, ...]]
     bias_squared: Estimate
     variance: float
     reference_variance: float
@@ -92,8 +115,8 @@ class Statistics:
 
     @property
     def tests(self) -> int:
-        """Tests of this row: means, two of shape, one of place. None where the row is absent."""
-        return 0 if self.absent else self.mean_tests + len(self.mean_square) + 1
+        """Tests of this row: means, three of shape, three of places. None where the row is absent."""
+        return 0 if self.absent else self.mean_tests + len(self.mean_square) + 3
 
 
 def measure(
@@ -109,6 +132,7 @@ def measure(
     allow_negative: bool = False,
     names: Sequence[str] = (),
     reference_names: Sequence[str] = (),
+    quantum: tuple[float, float] = (0.0, 0.0),
 ) -> Statistics:
     """Compare replicate images of ours with replicates of the reference.
 
@@ -130,6 +154,8 @@ def measure(
         Ours may be free of noise: where all its replicates are the same image that is a warning, not equal seeds.
     allow_negative : negative radiance is no error, on both sides.
     names, reference_names : what the replicates are called in messages, say their files.
+    quantum : relative rounding error of the stored values of ours and of the reference beyond float32's: 2^-11 for half
+        floats. It enters the floor of every standard error.
 
     Returns
     -------
@@ -140,16 +166,18 @@ def measure(
     ------
     ValueError : for shapes that do not fit, values that are no floats, fewer than 4 replicates, two replicates that are
         the same image although others differ (or all of ours, unless it may be free of noise), an invalid value in the
-        reference, a scale that is not positive.
+        reference, a scale that is not positive, a quantum outside [0, 1).
     """
     ours, reference = stacked("ours", ours, names), stacked("reference", reference, reference_names)
     check(ours, reference, objects, scale, exact)
     if mask is not None:
         check_mask(mask, ours)
         objects = None if objects is None else np.where(mask, objects, -1)
+    if not all(0 <= each < 1 for each in quantum):
+        raise ValueError(f"quantum is {quantum}; both must lie in [0, 1)")
     count, sizes = len(ours), (len(ours), len(reference))
     called = labels("ours", count, names) + labels("reference", len(reference), reference_names)
-    sums = _Sums(sizes, objects, mask)
+    sums = _Sums(sizes, ours.shape[1:3], objects, mask, float(np.hypot(*quantum)))
     equality, invalid = Equality(sum(sizes)), Invalid(called, count, allow_negative)
     for top, band in bands(ours, reference):
         if mask is not None:
@@ -163,9 +191,10 @@ def measure(
     term_mean = sums.term_mean(reference_is_zero, scale)
     if not term_mean > 0:
         raise ValueError(f"reference: its mean luminance is {term_mean:.3g}; a relative bias needs one above 0")
-    compare, tiles = sums.comparison(term_mean), {side: sums.tiles(side) for side in TILE_SIDES}
-    rare, rare_luminance = sums.rare_events()
-    regions, pixels = sums.region_means(), Gram(sums.pixel_products / (3 * sums.pixels), sizes)
+    regions, events = sums.region_means(), sums.events()
+    compare, tiles = sums.comparison(term_mean, events), {side: sums.tiles(side) for side in TILE_SIDES}
+    typical = sums.typical(term_mean, reference_is_zero)
+    pixels = Gram(sums.products[1][1:].sum(axis=0) / (3 * sums.pixels), sizes)
     return Statistics(
         replicates=count,
         reference_replicates=len(reference),
@@ -175,16 +204,18 @@ def measure(
         absent=bool(equality.zero.all()),
         reference_is_zero=reference_is_zero,
         term_mean=term_mean,
+        typical=float(typical[0]),
         region_names=(IMAGE, *_named(sums.objects_present, object_names)),
-        regions=compare(regions, sums.areas[:, None], rare, term_mean * (1 if reference_is_zero else 0.1)),
-        luminance=compare(luminance_of(regions[:, 0]), sums.areas[0], rare_luminance[:, 0]),
-        tiles={side: compare(at.luminance, at.areas, rare_luminance) for side, at in tiles.items()},
-        channel_tiles={side: compare(at.channels, at.areas, rare[..., None, None]) for side, at in tiles.items()},
+        regions=compare(regions, sums.areas[:, None], term_mean * (1 if reference_is_zero else 0.1), slice(1, 4)),
+        luminance=compare(luminance_of(regions[:, 0]), sums.areas[0], term_mean, 0),
+        tiles={side: sums.places(compare, *tiles[side], typical) for side in TILE_SIDES},
+        windows=sums.places(compare, *sums.windows(), typical),
+        borders=sums.places(compare, *sums.border_means(), 0.1 * typical),
         tile_skewness={
-            side: max(median_skewness(at.luminance[:count]), median_skewness(at.luminance[count:]))
-            for side, at in tiles.items()
+            side: max(median_skewness(means[:count, 0]), median_skewness(means[count:, 0]))
+            for side, (means, _) in tiles.items()
         },
-        mean_square=sums.mean_square(term_mean),
+        mean_square=sums.mean_square(term_mean, reference_is_zero),
         bias_squared=pixels.squared_distance(),
         variance=pixels.variance(0).value,
         reference_variance=pixels.variance(1).value,
@@ -205,55 +236,72 @@ def _few(side: str, count: int) -> list[str]:
     return [f"{count} replicates of {side}: fewer than {REPLICATES_WANTED}, intervals are wide and less sure"]
 
 
-@attrs.frozen(eq=False)
-class _Tiles:
-    """Means (n, 3, rows, columns) and their luminance (n, rows, columns), for each replicate, over tiles of a size."""
-
-    channels: np.ndarray
-    luminance: np.ndarray
-    areas: np.ndarray
-
-
 class _Sums:
     """What the bands of all replicates add up to, small whatever their resolution.
 
     Attributes
     ----------
     sizes : replicates of ours, which come first, and of the reference; n in all.
-    pixel_products, block_products : (n, n) float64
-        Of the replicates' distances from their mean: over pixels and channels, and of luminance over blocks of 2 px.
-    reference_square : sum of the squares of the reference's luminance.
+    quantum : relative rounding of the values, of both sides.
+    products : (4, n, n) float64 by the side of blocks of 1, 2 and 8 px
+        Of the replicates' distances from their mean, in luminance, red, green and blue, summed over blocks; of a block
+        that is cut by the border by its share.
+    cumulants : (2, 2, 4) float64
+        Of each side, the second and third over the replicates, summed over pixels.
+    reference_square : (4,) sum of the squares of the reference.
     regions, areas : (regions, n, 3) and (regions,) float64
         Sums over the image and each object present, and their pixels.
+    borders : (4, n, 3) float64, sums over the outermost rows and columns.
     brightest : the largest value.
     """
 
-    def __init__(self, sizes: tuple[int, int], objects: np.ndarray | None, mask: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        sizes: tuple[int, int],
+        shape: tuple[int, int],
+        objects: np.ndarray | None,
+        mask: np.ndarray | None,
+        quantum: float,
+    ) -> None:
         everyone = sum(sizes)
         present = np.array([], dtype=int) if objects is None else np.unique(objects)
-        self.sizes = sizes
-        self.objects, self.objects_present, self.mask = objects, present[present >= 0], mask
-        self.pixel_products, self.block_products = (np.zeros((everyone, everyone)) for _ in range(2))
-        self.reference_square = 0.0
+        self.sizes, self.shape, self.quantum = sizes, shape, quantum
+        self.objects, self.objects_present = objects, present[present >= 0]
+        self.mask = np.ones(shape, dtype=bool) if mask is None else mask
+        self.products = {side: np.zeros((4, everyone, everyone)) for side in SHAPE_LIMITS}
+        self.cumulants = np.zeros((2, 2, 4))
+        self.reference_square = np.zeros(4)
         self.regions = np.zeros((1 + len(self.objects_present), everyone, 3))
         self.areas = np.zeros(1 + len(self.objects_present))
+        self.borders = np.zeros((len(BORDERS), everyone, 3))
         self.brightest = 0.0
-        self._tile_rows: list[np.ndarray] = []
-        self._tile_areas: list[np.ndarray] = []
+        self._rows: list[np.ndarray] = []
+        self._areas: list[np.ndarray] = []
 
     def read(self, top: int, band: np.ndarray) -> None:
         """Add a band (n, rows, W, 3) of finite values that begins at row `top`."""
-        luminance = luminance_of(band)
+        values = quantities(np.moveaxis(band, -1, 0))
         self.brightest = max(self.brightest, float(band.max()))
-        self.pixel_products += inner_products(band - band.mean(axis=0))
-        self.reference_square += np.sum(luminance[self.sizes[0] :] ** 2)
-        blocks, areas = self._block_sums(top, luminance, 2)
-        self.block_products += inner_products((blocks - blocks.mean(axis=0)) / np.sqrt(np.maximum(areas, 1)))
-        sums, areas = self._block_sums(top, np.moveaxis(band, -1, 1), TILE_SIDES[0])
-        self._tile_rows.append(sums)
-        self._tile_areas.append(areas)
-        self.regions[0] += sums.sum(axis=(2, 3))
-        self.areas[0] += luminance[0].size if self.mask is None else self.mask[top : top + band.shape[1]].sum()
+        self.reference_square += np.sum(values[:, self.sizes[0] :] ** 2, axis=(1, 2, 3))
+        inside = self.mask[top : top + band.shape[1]].astype(np.float64)
+        sums = block_sums(values[1:], CELL)
+        self._rows.append(sums)
+        self._areas.append(block_sums(inside, CELL))
+        self.regions[0] += sums.sum(axis=(2, 3)).T
+        self.areas[0] += inside.sum()
+        last = top + band.shape[1] == self.shape[0]
+        for border, line in zip(
+            self.borders, (band[:, 0] * (top == 0), band[:, -1] * last, band[:, :, 0], band[:, :, -1]), strict=True
+        ):
+            border += line.sum(axis=1)
+        values -= values.mean(axis=1, keepdims=True)
+        for side in self.products:
+            blocks = values
+            if side > 1:
+                blocks = block_sums(values, side) / np.sqrt(np.maximum(block_sums(inside, side), 1))
+            self.products[side] += [inner_products(each) for each in blocks]
+        for sums, each in zip(self.cumulants, (values[:, : self.sizes[0]], values[:, self.sizes[0] :]), strict=True):
+            sums += cumulants(each, axis=1).sum(axis=(-2, -1))
         if self.objects is not None:
             self._read_objects(self.objects[top : top + band.shape[1]], band)
 
@@ -293,33 +341,65 @@ class _Sums:
         mean = scale if scale is not None else float(luminance_of(image[:count].mean(axis=0)))
         return mean if mean > 0 else 1.0
 
-    def tiles(self, side: int) -> _Tiles:
-        """Means over tiles, smaller ones at the right and lower border; `side` is a multiple of the smallest's."""
-        step = side // TILE_SIDES[0]
-        sums, areas = self._smallest_tiles()
-        areas = np.maximum(block_sums(areas[None], step)[0][0], 1)  # 0 where the mask leaves nothing
-        channels = block_sums(sums, step)[0] / areas
-        return _Tiles(channels, luminance_of(np.moveaxis(channels, 1, -1)), areas)
+    def image_scale(self, term_mean: float, reference_is_zero: bool) -> np.ndarray:
+        """(4,) mean of the reference in each quantity, or 10 % of the term's where that is larger."""
+        if reference_is_zero:
+            return np.full(4, term_mean)
+        channels = self.region_means()[self.sizes[0] :, 0].mean(axis=0)
+        return np.maximum(quantities(channels), 0.1 * term_mean)
 
-    def _smallest_tiles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums (n, 3, rows, columns) and areas of tiles of 8 px."""
-        return np.concatenate(self._tile_rows, axis=2), np.concatenate(self._tile_areas)
+    def typical(self, term_mean: float, reference_is_zero: bool) -> np.ndarray:
+        """(4,) what half of the lit 8-px tiles of the reference exceed, or the image's scale where that is smaller."""
+        scale = self.image_scale(term_mean, reference_is_zero)
+        if reference_is_zero:
+            return scale
+        tiles = self.tiles(TILE_SIDES[0])[0][self.sizes[0] :].mean(axis=0).reshape(4, -1)
+        lit = np.array([np.median(each[each > 0]) if each.any() else np.inf for each in tiles])
+        return np.maximum(np.minimum(scale, lit), 0.1 * min(term_mean, lit[0]))
 
-    def rare_events(self) -> tuple[np.ndarray, np.ndarray]:
-        """The largest rare event of each side in any region or tile, (2, 3) by channel and (2, 1) of luminance."""
-        tiles = np.moveaxis(self._smallest_tiles()[0], 1, -1).reshape(sum(self.sizes), -1, 3)
-        places = np.concatenate([np.moveaxis(self.regions, 1, 0), tiles], 1)
-        channels, luminance = (
-            np.stack([largest_event(values[: self.sizes[0]]), largest_event(values[self.sizes[0] :])])
-            for values in (places, luminance_of(places)[..., None])
-        )
-        return channels, luminance
+    def tiles(self, side: int) -> tuple[np.ndarray, np.ndarray]:
+        """Means (n, 4, rows, columns) over tiles and their areas, smaller ones at the right and lower border."""
+        sums, areas = self._cells()
+        sums, areas = (block_sums(each, side // CELL) for each in (sums, areas))
+        return _means(sums, areas)
 
-    def comparison(self, term_mean: float) -> Callable[..., Comparison]:
-        """Welch's comparison of means (n, ...) over places of some areas, relative to `least` at least."""
+    def windows(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same over windows of two cells' side, which overlap by one."""
+
+        def pairs(values: np.ndarray) -> np.ndarray:
+            for axis in (-2, -1):
+                if (length := values.shape[axis]) > 1:
+                    values = np.take(values, range(length - 1), axis) + np.take(values, range(1, length), axis)
+            return values
+
+        return _means(*(pairs(each) for each in self._cells()))
+
+    def border_means(self) -> tuple[np.ndarray, np.ndarray]:
+        """Means (n, 4, borders) over the outermost rows and columns, and their pixels."""
+        lines = self.mask[0], self.mask[-1], self.mask[:, 0], self.mask[:, -1]
+        return _means(self.borders.transpose(2, 1, 0), np.array([line.sum() for line in lines], dtype=np.float64))
+
+    def _cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sums (3, n, rows, columns) and areas of cells."""
+        return np.concatenate(self._rows, axis=2), np.concatenate(self._areas)
+
+    def events(self) -> np.ndarray:
+        """(4,): flux of the rare, bright events that either side shows in each quantity, see `welch`."""
+        found = [event_size(each) for each in self.cumulants]
+        tiles = [self.tiles(side) for side in (TILE_SIDES[0], TILE_SIDES[-1])]
+        fluxes = [(means * areas).reshape(*means.shape[:2], -1) for means, areas in tiles]
+        regions = quantities(np.moveaxis(self.regions, -1, 0)).transpose(2, 0, 1)
+        places = np.concatenate([fluxes[0], regions], axis=2)
+        for side, part in enumerate((slice(self.sizes[0]), slice(self.sizes[0], None))):
+            sizes = [event_size(cumulants(each[part]).sum(axis=-1)) for each in fluxes]
+            found[side] = np.max([found[side], *sizes, largest_event(places[part])], axis=0)
+        return np.max(found, axis=0)
+
+    def comparison(self, term_mean: float, events: np.ndarray) -> Callable[..., Comparison]:
+        """Welch's comparison of means (n, ...) over places, relative to `least` at least, of quantities `of`."""
 
         def compare(
-            means: np.ndarray, areas: np.ndarray | float, events: np.ndarray, least: float = term_mean
+            means: np.ndarray, areas: np.ndarray | float, least: np.ndarray | float, of: int | slice
         ) -> Comparison:
             return welch(
                 means[: self.sizes[0]],
@@ -328,32 +408,43 @@ class _Sums:
                 term_mean=term_mean,
                 areas=areas,
                 brightest=self.brightest,
-                events=events,
+                event=events[of],
+                quantum=self.quantum,
             )
 
         return compare
 
-    def mean_square(self, term_mean: float) -> dict[int, Estimate]:
-        """θ of luminance over blocks of 2 and 8 px, relative to `term_mean`², with its floor."""
-        sums, areas = self._smallest_tiles()
-        tiles = luminance_of(np.moveaxis(sums / np.maximum(areas, 1), 1, -1))
-        tile_products = inner_products((tiles - tiles.mean(axis=0)) * np.sqrt(areas))
-        bright = float(np.sqrt(self.reference_square / (self.sizes[1] * self.pixels))) / term_mean
-        error = np.hypot(TERM_FLOOR, ULP_FLOOR * np.finfo(np.float32).eps * bright)
+    def places(
+        self, compare: Callable[..., Comparison], means: np.ndarray, areas: np.ndarray, typical: np.ndarray
+    ) -> Comparison:
+        """Comparison (4, ...) of means (n, 4, ...), one quantity after the other: maps of large images are large."""
+        return stack([compare(means[:, of], areas, typical[of], of) for of in range(len(QUANTITIES))])
 
-        def theta(products: np.ndarray) -> Estimate:
-            found = Gram(products / self.pixels / term_mean / term_mean, self.sizes).squared_distance()
+    def mean_square(self, term_mean: float, reference_is_zero: bool) -> dict[int, tuple[Estimate, ...]]:
+        """θ of each quantity over blocks, relative to the square of the image's scale, with its floor."""
+        scale = self.image_scale(term_mean, reference_is_zero)
+        bright = np.sqrt(self.reference_square / (self.sizes[1] * self.pixels)) / scale
+        relative = ULP_FLOOR * np.finfo(np.float32).eps + self.quantum
+        errors = np.hypot(TERM_FLOOR * term_mean / scale, relative * bright)
+
+        def theta(products: np.ndarray, scale: float, error: float) -> Estimate:
+            found = Gram(products / self.pixels / scale / scale, self.sizes).squared_distance()
             # An error of `error` in every block moves a mean square θ by up to this.
             return attrs.evolve(found, floor=float(2 * np.sqrt(max(found.value, 0.0)) * error + error**2))
 
-        return {2: theta(self.block_products), TILE_SIDES[0]: theta(tile_products)}
+        return {
+            side: tuple(theta(*each) for each in zip(products, scale, errors, strict=True))
+            for side, products in self.products.items()
+        }
 
 
-def block_sums(values: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sums over blocks of the last two axes and the blocks' areas; border blocks may be smaller."""
+def _means(sums: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means (n, 4, ...) of sums (3, n, ...) over places, and their areas, which are 1 where a mask leaves nothing."""
+    areas = np.maximum(areas, 1)
+    return np.moveaxis(quantities(sums / areas), 1, 0), areas
+
+
+def block_sums(values: np.ndarray, side: int) -> np.ndarray:
+    """Sums over blocks of the last two axes; border blocks may be smaller."""
     rows, columns = (np.arange(0, length, side) for length in values.shape[-2:])
-    sums = np.add.reduceat(np.add.reduceat(values, rows, axis=-2), columns, axis=-1)
-    heights, widths = (
-        np.diff(starts, append=length) for starts, length in zip((rows, columns), values.shape[-2:], strict=True)
-    )
-    return sums, np.multiply.outer(heights, widths).astype(np.float64)
+    return np.add.reduceat(np.add.reduceat(values, rows, axis=-2), columns, axis=-1)

@@ -11,12 +11,14 @@ trials.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import attrs
 import numpy as np
 
 from termwise.reports.statistics import student
 from termwise.reports.statistics.replicates import bands, check, stacked
+from termwise.reports.statistics.verdict import POWER
 
 
 @attrs.frozen(eq=False)
@@ -28,13 +30,15 @@ class Estimate:
     value : float
     leave_one_out : tuple of (n_g,) float64, the number without one replicate, for each group that has more than one.
     floor : added to the standard error in quadrature.
+    noise : of a mean square, the part that noise has in it and that was taken off.
     """
 
     value: float
     leave_one_out: tuple[np.ndarray, ...]
     floor: float = 0.0
+    noise: float = 0.0
 
-    @property
+    @cached_property
     def standard_error(self) -> float:
         """`sqrt(Σ_g (n_g - 1)/n_g Σ_i (θ_(i) - mean θ_(·))² + floor²)` (Efron 1982, for several samples)."""
         variance = sum((len(each) - 1) * np.var(each) for each in self.leave_one_out)
@@ -52,6 +56,19 @@ class Estimate:
     def high(self, level: float) -> float:
         """One-sided upper bound, below the truth in `level` of the runs."""
         return self.value + float(student.isf(level, self.dof)) * self.standard_error
+
+    def detectable(self, level: float, least: float) -> float:
+        """Smallest mean square whose lower bound is above `least` in 80 % of the runs.
+
+        Of B blocks with noise V each, `s² = 2 V²/B` without an error and `s² (1 + 2 θ/V)` with one of mean square θ.
+        """
+        quantile = float(student.isf(level, self.dof) + student.isf(1 - POWER, self.dof))
+        if self.noise == 0:
+            return least + quantile * self.standard_error
+        variance = self.standard_error**2 / (1 + 2 * max(self.value, 0.0) / self.noise)
+        # (θ - least)² = quantile² s² (1 + 2 θ/V), solved for θ.
+        half = least + quantile**2 * variance / self.noise
+        return half + float(np.sqrt(half**2 - least**2 + quantile**2 * variance))
 
 
 @attrs.frozen(eq=False)
@@ -99,7 +116,11 @@ class Gram:
 
     def squared_distance(self) -> Estimate:
         """θ of two groups: `mean((E_0 - E_1)²)`; may come out negative."""
-        return self.estimate(np.array([[1.0, -1.0], [-1.0, 1.0]]))
+        found = self.estimate(np.array([[1.0, -1.0], [-1.0, 1.0]]))
+        ends = np.cumsum((0, *self.sizes))
+        groups = [self.matrix[a:b, a:b] for a, b in zip(ends, ends[1:], strict=False) if b - a > 1]
+        noise = sum((len(each) * np.trace(each) - each.sum()) / (len(each) ** 2 * (len(each) - 1)) for each in groups)
+        return attrs.evolve(found, noise=float(noise))
 
     def variance(self, group: int) -> Estimate:
         """Variance of one replicate of the group, mean over pixels."""

@@ -15,6 +15,8 @@ TILE_SIDES = (8, 16, 32)
 CHANNELS = ("red", "green", "blue")
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Of linear Rec. 709 (ITU-R BT.709-6, section 3)."""
+QUANTITIES = ("luminance", *CHANNELS)
+"""What shapes and places are judged in."""
 
 BAND_BYTES = 64 * 2**20
 LISTED_PIXELS = 10
@@ -89,6 +91,14 @@ def bands(*groups: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
 def luminance_of(rgb: np.ndarray) -> np.ndarray:
     """Of the last axis. Written out: a BLAS product may round equal replicates differently."""
     return LUMINANCE[0] * rgb[..., 0] + LUMINANCE[1] * rgb[..., 1] + LUMINANCE[2] * rgb[..., 2]
+
+
+def quantities(channels: np.ndarray) -> np.ndarray:
+    """(4, ...): luminance, then the channels, which are the first axis of (3, ...)."""
+    values = np.empty((4, *channels.shape[1:]))
+    values[1:] = channels
+    values[0] = luminance_of(np.moveaxis(values[1:], 0, -1))
+    return values
 
 
 @attrs.frozen

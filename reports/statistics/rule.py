@@ -5,25 +5,29 @@ There are two phases because the level of each test is 5 % over the number of te
 by
 
     2a  a mean           that lies outside ±(f + a) by Welch's interval, of a region in a channel
-    2b  the shape        whose mean square over blocks of 2 or 8 px is above its limit, by its lower bound
-    2c  a place          whose mean over a tile of 16 px lies outside ±0.5 %, at the level over the number of tiles
+    2b  the shape        whose mean square over single pixels, or blocks of 2 or 8 px, is above its limit, by its lower
+                         bound
+    2c  a place          whose mean lies outside ±0.5 %: a tile of 16 px, a window of 8 px, an outermost row or column
 
-It is EQUIVALENT by rule 3 if the intervals of the image's channels lie inside the margin and the upper bound of the
-shape error below 3 %.
+Shape and places are judged in luminance, red, green and blue: luminance has half of a test's level, the channels share
+the rest, and in 2c the places share that. A row is EQUIVALENT by rule 3 if the intervals of the image's channels lie
+inside the margin and the upper bounds of the shape error below 1 %.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import attrs
 import numpy as np
+import scipy
 
 from termwise.reports.statistics import student
-from termwise.reports.statistics.accumulation import Statistics, measure
+from termwise.reports.statistics.accumulation import BORDERS, CELL, Statistics, measure
 from termwise.reports.statistics.jackknife import Estimate
-from termwise.reports.statistics.replicates import CHANNELS
-from termwise.reports.statistics.sentence import confidence, percent, sentence, tile_words
+from termwise.reports.statistics.replicates import CHANNELS, QUANTITIES
+from termwise.reports.statistics.sentence import BLOCKS, confidence, percent, sentence, tile_words
 from termwise.reports.statistics.verdict import (
+    KERNEL_SHAPE_MARGIN,
     LEVEL,
     MARGIN,
     OUTSIDE,
@@ -32,7 +36,9 @@ from termwise.reports.statistics.verdict import (
     POWER,
     SHAPE_LIMITS,
     SHAPE_MARGIN,
+    SHARES,
     TOLERATED_BIAS,
+    WINDOW_SIDE,
     WORDS,
     Kind,
     RegionBias,
@@ -60,7 +66,7 @@ def decide(
     """Decide a row: phase two, once the number of tests of the whole run is known.
 
     In this order: ABSENT, BIASED (a proven error, however small the margin makes it look), EQUIVALENT
-    (the interval inside the margin and the shape error below 3 %), UNDERPOWERED.
+    (the interval inside the margin and the shape error below 1 %), UNDERPOWERED.
 
     Parameters
     ----------
@@ -74,7 +80,7 @@ def decide(
     level : chance of any false alarm in the run.
     kernel : bool
         A kernel-based row against anything but its kernel reference: an error is proven by its means (or by invalid
-        values) alone, one of the shape or of a place is a warning. EQUIVALENT still asks for a shape error below 3 %.
+        values) alone, one of the shape or of a place is a warning. EQUIVALENT asks for a shape error below 3 %.
     judged : false for rows that measure a known difference (prefixes, against `correct` or `physical`): the verdict,
         and all at the family's level, is None.
     predicted_bias : relative; named by the sentence of a row that is not judged.
@@ -89,8 +95,9 @@ def decide(
     _check_numbers(allowance=allowance, margin=margin, level=level, samples=samples, seconds=seconds)
     each, outside, within = level / max(tests, 1) / looks, OUTSIDE / looks, margin + allowance
     limit = _limit(statistics, allowance)
+    shape_margin = KERNEL_SHAPE_MARGIN if kernel else SHAPE_MARGIN
     proven, unproven, printed = _errors(statistics, each, limit, kernel)
-    questions = (*(one.text for one in unproven), *_open_questions(statistics, within, outside))
+    questions = (*(one.text for one in unproven), *_open_questions(statistics, within, shape_margin, outside))
     biased, equivalent = WORDS[kind]
     if not judged:
         word, reasons = None, ()
@@ -104,13 +111,14 @@ def decide(
         word, reasons = "UNDERPOWERED", questions
 
     due = judged and not statistics.absent
-    tile, needed = _worst_tile(statistics), _samples_ratio(statistics, within, outside)
+    tile, needed = _worst_tile(statistics), _samples_ratio(statistics, within, shape_margin, outside)
     samples_to_margin, seconds_to_margin = _scaled(needed, samples, seconds)
     found = Verdict(
         verdict=word,
         sentence="",
         reasons=reasons,
         **_intervals(statistics, each if due else None, limit, outside),
+        tolerated=_tolerated(statistics, each, limit) if due else (),
         place=next((one.place for one in proven), tile_words(tile)),
         tile=tile,
         samples_ratio=needed,
@@ -164,6 +172,8 @@ def judge(
     reference_names: Sequence[str] = (),
     objects: np.ndarray | None = None,
     object_names: Sequence[str] = (),
+    margin: float = MARGIN,
+    quantum: tuple[float, float] = (0.0, 0.0),
 ) -> Verdict:
     """Verdict on any renderer's replicate images: a run of one row.
 
@@ -178,6 +188,9 @@ def judge(
     objects : (H, W) integer, optional
         Index of the object that each pixel sees, -1 for none; each object is judged on its own too.
     object_names : names of those objects, by index.
+    margin : relative bias of the mean within which the two are equivalent.
+    quantum : relative rounding error of the stored values of images and reference beyond float32's, 2^-11 for half
+        floats.
 
     Returns
     -------
@@ -199,8 +212,9 @@ def judge(
         reference_names=reference_names,
         objects=objects,
         object_names=object_names,
+        quantum=quantum,
     )
-    return decide(statistics, tests=statistics.tests)
+    return decide(statistics, tests=statistics.tests, margin=margin)
 
 
 def margin_of(kind: Kind, own_mean: float = 0.0, correct_mean: float = 0.0) -> float:
@@ -247,25 +261,33 @@ def _invalid_values(statistics: Statistics) -> list[_Finding]:
     return [_Finding(text, f"x {first.x}, y {first.y}")]
 
 
-def _outside(comparison: Comparison, level: float, limit: float, missing: bool = False) -> list[tuple[int, str]]:
+def _outside(
+    comparison: Comparison, level: np.ndarray | float, limit: float, missing: bool = False
+) -> list[tuple[int, str]]:
     """Flat index and interval of each place that lies wholly outside ±limit, the surest first.
 
     `missing` chooses those that rare events may explain, which no replicate met: no proof.
     """
-    low, high = comparison.interval(level)
-    excess = (np.abs(comparison.bias) - limit) / comparison.standard_error
-    explained = np.abs(comparison.bias) <= comparison.missing(level)
-    found = np.flatnonzero(((low > limit) | (high < -limit)) & (explained == missing))
+    excess = ((np.abs(comparison.bias) - limit) / comparison.standard_error).ravel()
+    level = np.broadcast_to(level, comparison.bias.shape).ravel()
+    # Student's quantiles, which take their time, are above the normal law's.
+    far = np.flatnonzero(excess > -scipy.special.ndtri(level.max() / 2))
+    order = far[np.argsort(-excess[far])]
+    places, level = comparison.at(order), level[order]
+    low, high = places.interval(level)
+    explained = np.abs(places.bias) <= places.missing(level)
 
     def text(i: int) -> str:
-        bias = comparison.bias.flat[i]
-        interval = f"{percent(bias)} [{percent(low.flat[i])}, {percent(high.flat[i])}]"
+        bias = places.bias[i]
+        interval = f"{percent(bias)} [{percent(low[i])}, {percent(high[i])}]"
         if not missing:
             return interval
-        events = abs(bias) / comparison.unseen.flat[i]
-        return f"{interval}, no proof: {events:.2g} rare events, as bright as others, may be missing"
+        return (
+            f"{interval}, no proof: {abs(bias) / places.unseen[i]:.2g} rare events, as bright as others, may be missing"
+        )
 
-    return [(int(i), text(i)) for i in found[np.argsort(-excess.flat[found])]]
+    outside = np.flatnonzero(((low > limit) | (high < -limit)) & (explained == missing)).tolist()
+    return [(int(order[i]), text(i)) for i in outside]
 
 
 def _mean_errors(statistics: Statistics, level: float, limit: float, missing: bool = False) -> list[_Finding]:
@@ -278,37 +300,94 @@ def _mean_errors(statistics: Statistics, level: float, limit: float, missing: bo
     return findings
 
 
-def _shape_errors(statistics: Statistics, level: float) -> list[_Finding]:
-    """Rule 2b."""
+def _shape_errors(statistics: Statistics, level: float, *, tolerated: bool = False) -> list[_Finding]:
+    """Rule 2b: of each block size the quantity that is proven most surely. Or those proven to be tolerated."""
     findings = []
-    for side, limit in SHAPE_LIMITS.items():
-        theta = statistics.mean_square[side]
-        if (low := theta.low(level)) > limit**2:
-            found, least = np.sqrt([theta.value, low])
-            place = f"spread, most of all {tile_words(_worst_tile(statistics))}"
-            text = f"shape over {side}-px blocks: {found:.2%} rms, at least {least:.2%} (limit {limit:.1%})"
-            findings.append(_Finding(text, place))
+    for side, estimates in statistics.mean_square.items():
+        limit = SHAPE_LIMITS[side]
+        lows = np.array([each.low(level * share) for each, share in zip(estimates, SHARES, strict=True)])
+        found = (lows > 0) & (lows <= limit**2) if tolerated else lows > limit**2
+        if not found.any():
+            continue
+        of = int(np.argmax(np.where(found, lows, -np.inf)))
+        rms, least = np.sqrt([estimates[of].value, lows[of]])
+        place = f"spread, most of all {tile_words(_worst_tile(statistics))}"
+        text = f"shape over {BLOCKS[side]}{_of(of)}: {rms:.2%} rms, at least {least:.2%} (limit {limit:.1%})"
+        findings.append(_Finding(text, place))
     return findings
 
 
-def _place_errors(statistics: Statistics, level: float, missing: bool = False) -> list[_Finding]:
-    """Rule 2c: one finding, the surest tile and how many there are."""
-    tiles = statistics.tiles[PLACE_SIDE]
+def _of(quantity: int) -> str:
+    """Luminance goes without saying."""
+    return "" if quantity == 0 else f", {QUANTITIES[quantity]}"
+
+
+def _places(statistics: Statistics) -> list[tuple[str, Comparison, Callable[[int], str]]]:
+    """What rule 2c tests: a family's name, its comparison (4, ...), and the words for its places by flat index."""
+
+    def tiles(side: int, step: int, comparison: Comparison) -> Callable[[int], str]:
+        def words(index: int) -> str:
+            y, x = (step * i for i in divmod(index, comparison.bias.shape[2]))
+            return tile_words((x, y, min(side, statistics.width - x), min(side, statistics.height - y)))
+
+        return words
+
+    at = {"row": ("y 0", f"y {statistics.height - 1}"), "column": ("x 0", f"x {statistics.width - 1}")}
+    borders = [f"{name} ({at[name.split()[1]][i % 2]})" for i, name in enumerate(BORDERS)]
+    large, small = statistics.tiles[PLACE_SIDE], statistics.windows
+    return [
+        ("outermost rows and columns", statistics.borders, lambda index: borders[index]),
+        (f"{PLACE_SIDE}-px tiles", large, tiles(PLACE_SIDE, PLACE_SIDE, large)),
+        (f"{WINDOW_SIDE}-px windows", small, tiles(WINDOW_SIDE, CELL, small)),
+    ]
+
+
+def _place_errors(
+    statistics: Statistics, level: float, *, missing: bool = False, tolerated: bool = False
+) -> list[_Finding]:
+    """Rule 2c: of each family one finding, the surest place and how many there are. Or those proven to be tolerated."""
     limit = 0.0 if statistics.reference_is_zero else PLACE_LIMIT
-    found = _outside(tiles, level / tiles.bias.size, limit, missing)
-    if not found:
-        return []
-    index, interval = found[0]
-    place = tile_words(_tile(statistics, index))
-    return [_Finding(f"{place}: {interval}, the surest of {len(found)} of {tiles.bias.size} tiles", place)]
+    findings = []
+    for name, comparison, words in _places(statistics):
+        each_level, count = _place_level(comparison, level), comparison.bias[0].size
+        found = _outside(comparison, each_level, 0.0 if tolerated else limit, missing)
+        if tolerated:
+            beyond = {index for index, _ in _outside(comparison, each_level, limit)}
+            found = [each for each in found if each[0] not in beyond]
+        if not found:
+            continue
+        index, interval = found[0]
+        of, at = divmod(index, count)
+        # Where luminance is off as well, that says more than the channel that is off most surely.
+        by_index = dict(found)
+        if at in by_index:
+            of, interval = 0, by_index[at]
+        number = len({index % count for index, _ in found})
+        place = f"{words(at)}{_of(of)}"
+        findings.append(_Finding(f"{place}: {interval}, the surest of {number} of {count} {name}", place))
+    return findings
 
 
-def _shape_bound(theta: Estimate, outside: float) -> float:
-    """U of rule 3."""
-    return float(np.sqrt(max(0.0, theta.high(outside))))
+def _place_level(comparison: Comparison, level: float) -> np.ndarray:
+    """Of each place in each quantity (4, ...)."""
+    shares = np.reshape(SHARES, (-1, *(1,) * (comparison.bias.ndim - 1)))
+    return np.broadcast_to(level * shares / comparison.bias[0].size, comparison.bias.shape)
 
 
-def _open_questions(statistics: Statistics, margin: float, outside: float) -> tuple[str, ...]:
+def _tolerated(statistics: Statistics, level: float, limit: float) -> tuple[str, ...]:
+    """What is proven at the family's level but lies within what is no error."""
+    beyond = {each.place for each in _mean_errors(statistics, level, limit)}
+    means = [each for each in _mean_errors(statistics, level, 0.0) if each.place not in beyond]
+    rest = [*_place_errors(statistics, level, tolerated=True), *_shape_errors(statistics, level, tolerated=True)]
+    return tuple(each.text for each in (*means, *rest))
+
+
+def _shape_bounds(estimates: Sequence[Estimate], outside: float) -> np.ndarray:
+    """U of rule 3, (4,)."""
+    return np.sqrt([max(0.0, each.high(outside)) for each in estimates])
+
+
+def _open_questions(statistics: Statistics, margin: float, shape_margin: float, outside: float) -> tuple[str, ...]:
     """What keeps a row from being EQUIVALENT by rule 3."""
     low, high = (end[0] for end in statistics.regions.interval(2 * outside))
     questions = [
@@ -316,25 +395,28 @@ def _open_questions(statistics: Statistics, margin: float, outside: float) -> tu
         for c, channel in enumerate(CHANNELS)
         if not (-margin < low[c] and high[c] < margin)
     ]
-    if (bound := _shape_bound(statistics.mean_square[8], outside)) >= SHAPE_MARGIN:
-        questions.append(f"shape error of up to {bound:.2%} rms over 8-px tiles is not below {SHAPE_MARGIN:.0%}")
+    bounds = _shape_bounds(statistics.mean_square[8], outside)
+    if (bound := bounds.max()) >= shape_margin:
+        text = f"shape error of up to {bound:.2%} rms over 8-px tiles{_of(int(bounds.argmax()))}"
+        questions.append(f"{text} is not below {shape_margin:.0%}")
     return tuple(questions)
 
 
-def _samples_ratio(statistics: Statistics, margin: float, outside: float) -> float | None:
+def _samples_ratio(statistics: Statistics, margin: float, shape_margin: float, outside: float) -> float | None:
     """Factor on the samples of both sides at which an unbiased row is EQUIVALENT with a power of 80 %.
 
     Standard errors of means fall as 1/sqrt(samples); that of a mean square around 0 falls as 1/samples.
     """
     low, high = (end[0] for end in statistics.regions.interval(2 * outside))
-    theta = statistics.mean_square[8]
-    if np.any((low > margin) | (high < -margin)) or theta.low(outside) > SHAPE_MARGIN**2:
+    shapes = statistics.mean_square[8]
+    beyond = any(theta.low(outside) > shape_margin**2 for theta in shapes)
+    if np.any((low > margin) | (high < -margin)) or beyond:
         return None
     # An interval can leave the margin at either end, U only at one: hence half the misses for each end.
     error, dof = statistics.regions.standard_error[0], statistics.regions.dof[0]
     mean = np.max((student.isf(outside, dof) + student.isf((1 - POWER) / 2, dof)) * error) / margin
-    quantiles = student.isf(np.array([outside, 1 - POWER]), theta.dof).sum()
-    return float(max(mean**2, quantiles * theta.standard_error / SHAPE_MARGIN**2))
+    quantiles = student.isf(np.array([outside, 1 - POWER]), shapes[0].dof).sum()
+    return float(max(mean**2, quantiles * max(theta.standard_error for theta in shapes) / shape_margin**2))
 
 
 def _scaled(needed: float | None, samples: int | None, seconds: float | None) -> tuple[int | None, float | None]:
@@ -349,12 +431,12 @@ def _scaled(needed: float | None, samples: int | None, seconds: float | None) ->
 
 def _intervals(statistics: Statistics, level: float | None, limit: float, outside: float) -> dict[str, Any]:
     """The numbers of a `Verdict`, whatever the rule makes of them; those at the family's level if there is one."""
-    luminance, theta = statistics.luminance, statistics.mean_square[8]
+    luminance, shapes = statistics.luminance, statistics.mean_square[8]
     low, high = (float(end) for end in luminance.interval(2 * outside))
-    family, detectable = (None, None), None
+    family, detectable = (None, None), dict.fromkeys(("bias", "shape", "border", "window"))
     if level is not None:
         family = tuple(float(end) for end in luminance.interval(level))
-        detectable = float(statistics.regions.detectable(level, limit)[0].max())
+        detectable = _detectable(statistics, level, limit)
     return {
         "bias": float(luminance.bias),
         "bias_low": low,
@@ -363,9 +445,28 @@ def _intervals(statistics: Statistics, level: float | None, limit: float, outsid
         "family_low": family[0],
         "family_high": family[1],
         "regions": _regions(statistics, level, limit, outside),
-        "rms_bias": float(np.sign(theta.value) * np.sqrt(abs(theta.value))),
-        "rms_bias_high": _shape_bound(theta, outside),
-        "detectable_bias": detectable,
+        "rms_bias": float(np.sign(shapes[0].value) * np.sqrt(abs(shapes[0].value))),
+        "rms_bias_high": float(_shape_bounds(shapes, outside).max()),
+        **{f"detectable_{of}": least for of, least in detectable.items()},
+    }
+
+
+def _detectable(statistics: Statistics, level: float, limit: float) -> dict[str, float]:
+    """The smallest errors that this run finds in 80 % of cases, see `Verdict`."""
+    place = 0.0 if statistics.reference_is_zero else PLACE_LIMIT
+
+    def luminance(places: Comparison) -> np.ndarray:
+        return places.detectable(_place_level(places, level), place)[0]
+
+    shapes = [
+        each.detectable(level * share, SHAPE_LIMITS[8] ** 2) ** 0.5
+        for each, share in zip(statistics.mean_square[8], SHARES, strict=True)
+    ]
+    return {
+        "bias": float(statistics.regions.detectable(level, limit)[0].max()),
+        "shape": float(max(shapes)),
+        "border": float(luminance(statistics.borders).max()),
+        "window": float(np.median(luminance(statistics.windows))),
     }
 
 
@@ -394,10 +495,10 @@ def _regions(statistics: Statistics, level: float | None, limit: float, outside:
 def _worst_tile(statistics: Statistics) -> tuple[int, int, int, int]:
     """The 16-px tile whose bias is the most significant."""
     tiles = statistics.tiles[PLACE_SIDE]
-    return _tile(statistics, int(np.argmax(np.abs(tiles.bias) / tiles.standard_error)))
+    return _tile(statistics, int(np.argmax(np.max(np.abs(tiles.bias) / tiles.standard_error, axis=0))))
 
 
 def _tile(statistics: Statistics, index: int) -> tuple[int, int, int, int]:
     """x, y, width and height of a 16-px tile; those at the right and lower border may be smaller."""
-    y, x = (PLACE_SIDE * i for i in divmod(index, statistics.tiles[PLACE_SIDE].bias.shape[1]))
+    y, x = (PLACE_SIDE * i for i in divmod(index, statistics.tiles[PLACE_SIDE].bias.shape[2]))
     return x, y, min(PLACE_SIDE, statistics.width - x), min(PLACE_SIDE, statistics.height - y)

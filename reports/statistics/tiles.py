@@ -46,7 +46,7 @@ class TileMap:
     height, width : of the image.
     skewness : median over the tiles.
     merged_into : the side of the tiles that stand for these, all of whose values are NaN then.
-    bias : (rows, columns) float64, of luminance, relative to the larger of the tile's and the image's mean.
+    bias : (rows, columns) float64, of luminance, relative to the larger of the tile's mean and the typical one.
     p : (rows, columns) float64, of no bias in luminance; NaN where all replicates of both sides are the same number.
     holm, benjamini_hochberg : (rows, columns) float64, adjusted p, at most 1.
     channels : (3, rows, columns) float64, p of each channel, adjusted by Holm over all channels of all tiles.
@@ -86,24 +86,25 @@ def tile_maps(statistics: Statistics) -> dict[int, TileMap]:
 def _tested(statistics: Statistics, side: int) -> TileMap:
     even = (each for each in TILE_SIDES if each >= side and statistics.tile_skewness[each] <= SKEWNESS)
     stands = next(even, TILE_SIDES[-1])
-    luminance, channels = statistics.tiles[side], statistics.channel_tiles[side]
+    tested = statistics.tiles[side]
+    luminance, *channels = tested.p_values()
 
     def unless_merged(values: np.ndarray) -> np.ndarray:
         return values if stands == side else np.full_like(values, np.nan)
 
-    p = unless_merged(luminance.p_values())
+    p = unless_merged(luminance)
     return TileMap(
         side=side,
         height=statistics.height,
         width=statistics.width,
         skewness=statistics.tile_skewness[side],
         merged_into=None if stands == side else stands,
-        bias=unless_merged(luminance.bias),
+        bias=unless_merged(tested.bias[0]),
         p=p,
         holm=_adjusted(p, holm),
         benjamini_hochberg=_adjusted(p, stats.false_discovery_control),
-        channels=_adjusted(unless_merged(channels.p_values()), holm),
-        noiseless=luminance.noiseless,
+        channels=_adjusted(unless_merged(np.array(channels)), holm),
+        noiseless=tested.noiseless[0],
     )
 
 

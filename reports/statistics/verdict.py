@@ -14,12 +14,17 @@ TOLERATED_BIAS = 0.001
 """f: a mean bias below this is never called a bias."""
 MARGIN = 0.01
 """m: a mean bias inside this margin is equivalent to none."""
-SHAPE_LIMITS = {2: 0.005, 8: 0.003}
-"""Root mean square of the error over blocks of so many pixels' side, relative to the term's mean."""
+SHARES = (1 / 2, 1 / 6, 1 / 6, 1 / 6)
+"""Of luminance, red, green and blue in the level of a test of the shape or of places."""
+SHAPE_LIMITS = {1: 0.01, 2: 0.005, 8: 0.003}
+"""Root mean square of the error over blocks of so many pixels' side, relative to the mean of the image."""
 PLACE_LIMIT = 0.005
+"""Of a tile, a window, an outermost row or column, relative to its own mean or the typical one."""
 PLACE_SIDE = 16
-SHAPE_MARGIN = 0.03
-"""Largest root mean square over 8-px tiles that EQUIVALENT may leave open."""
+WINDOW_SIDE = 8
+"""The smallest places that are judged without being named: windows, one every half of this."""
+SHAPE_MARGIN, KERNEL_SHAPE_MARGIN = 0.01, 0.03
+"""Largest root mean square over 8-px tiles that EQUIVALENT may leave open; of a kernel, which blurs by design."""
 POWER = 0.8
 """A bias counts as detectable when it is found in this share of runs."""
 WORDS = {"right": ("BIASED", "EQUIVALENT"), "wrong": ("NOT AS PREDICTED", "AS PREDICTED")}
@@ -56,10 +61,15 @@ class Verdict:
         Of the image's luminance, 90 % interval; with several looks one that holds at 90 % over all of them.
     family_low, family_high : the same interval at 5 % over `tests` and `looks`.
     regions : each channel of the image and of each object: what the mean tests judge.
-    rms_bias, rms_bias_high : `sign(θ) sqrt(|θ|)` over 8-px tiles and U, its upper bound at 95 %, over all looks.
+    rms_bias, rms_bias_high : `sign(θ) sqrt(|θ|)` of luminance over 8-px tiles; the largest U of luminance, red, green
+        and blue, its upper bound at 95 %, over all looks.
     place : where the error is proven, else where it is the most likely.
     tile : x, y, width, height of the 16-px tile with the most significant bias.
     detectable_bias : smallest bias of the image's noisiest channel found in 80 % of runs.
+    detectable_shape, detectable_border, detectable_window : the same for a root mean square over 8-px tiles, in the
+        noisiest of luminance, red, green and blue; for the luminance of the noisiest of the outermost rows and columns;
+        for that of half of the windows of 8 px.
+    tolerated : what is proven at the family's level, and too small to be an error.
     samples_ratio : float or None
         Times the samples of both sides that an unbiased row needs to be found EQUIVALENT in 80 % of runs; None where a
         bias beyond the margin is likely so that no samples will do.
@@ -86,6 +96,10 @@ class Verdict:
     place: str
     tile: tuple[int, int, int, int]
     detectable_bias: float | None
+    detectable_shape: float | None
+    detectable_border: float | None
+    detectable_window: float | None
+    tolerated: tuple[str, ...]
     samples_ratio: float | None
     samples_to_margin: int | None
     seconds_to_margin: float | None

@@ -6,12 +6,17 @@ The relative bias of a place's mean is judged on the means of its replicates,
 
 with the degrees of freedom of Welch and Satterthwaite.
 
-A sparse estimator may miss its brightest samples in all replicates, agree with itself, and lack their light. If a
-place lacks D (radiance summed over its pixels, mean of K replicates), one replicate elsewhere holds an event of E, and
-the place's own standard error is that of `m = (K SE / E)²` of them, then `λ = K D / E` are missing. By Poisson's law so
-few are met with probability `Q(m + 1, m + λ)`, `e^-λ` for m = 0: a mean is proven off only if that, too, is below the
-level of its test. Shape needs no such rule: where events are met, its jackknife has them.
+Noise is skewed: replicates that lack bright samples are dark and agree with one another, and t trusts them. If the
+light of a place came in events of one flux E (radiance summed over its pixels) and its standard error is that of
+`m = (K SE / E)²` of them, a place that lacks D in the mean of K replicates has missed `λ = K D / E` events. By
+Poisson's law so few are met with probability `Q(m + 1, m + λ)`, `e^-λ` for m = 0: a mean is proven off only if that,
+too, is below the level of its test. E is the largest of what either side shows: an event that stands out of the
+replicates of any place (`largest_event`), and the flux that gives the noise of pixels and tiles the skewness that it
+has (`event_size`). Of ordinary noise E is about its standard deviation, m is large, and t asks for more. Shape needs no
+such rule: where events are met, its jackknife has them.
 """
+
+from collections.abc import Sequence
 
 import attrs
 import numpy as np
@@ -42,9 +47,9 @@ class Comparison:
     scale : float64, in radiance.
     dof : float64, Welch-Satterthwaite; K + R - 2 where both variances are 0.
     noiseless : both variances are 0: left out of p-histograms.
-    unseen : float64, size of δ that one rare event makes if the side that is darker here has missed it, the event being
-        as large as the largest that this side shows anywhere; 0 where it shows none.
-    seen : float64, how many such events this side has met here, by its standard error.
+    unseen : float64, size of δ that one event makes if the side that is darker here has missed it; 0 where neither side
+        has skewed noise anywhere.
+    seen : float64, how many such events the darker side has met here, by its standard error.
     """
 
     ours: np.ndarray
@@ -57,7 +62,12 @@ class Comparison:
     unseen: np.ndarray
     seen: np.ndarray
 
-    def interval(self, level: float) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, indices: np.ndarray) -> "Comparison":
+        """Of some places, by flat index."""
+        names = [field.name for field in attrs.fields(Comparison)]
+        return Comparison(*(getattr(self, name).ravel()[indices] for name in names))
+
+    def interval(self, level: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         """Two-sided interval of δ that misses the truth in `level` of the runs."""
         half = student.isf(level / 2, self.dof) * self.standard_error
         return self.bias - half, self.bias + half
@@ -70,13 +80,13 @@ class Comparison:
         p = 2 * student.sf(np.abs(self.bias) / self.standard_error, self.dof)
         return np.where(self.noiseless & (self.bias == 0), np.nan, p)
 
-    def detectable(self, level: float, limit: float) -> np.ndarray:
+    def detectable(self, level: np.ndarray | float, limit: float) -> np.ndarray:
         """Smallest bias that this very measurement finds outside ±limit in 80 % of the runs."""
         outside = limit + student.isf(level / 2, self.dof) * self.standard_error
         return np.maximum(outside, self.missing(level)) + student.isf(1 - POWER, self.dof) * self.standard_error
 
-    def missing(self, level: float) -> np.ndarray:
-        """Size of δ up to which rare events that were not met explain it: the chance of so few is above `level`."""
+    def missing(self, level: np.ndarray | float) -> np.ndarray:
+        """Size of δ up to which events that were not met explain it: the chance of so few is above `level`."""
         return self.unseen * (scipy.special.gammainccinv(self.seen + 1, level) - self.seen)
 
 
@@ -84,16 +94,17 @@ def welch(
     ours: np.ndarray,
     reference: np.ndarray,
     *,
-    least: float,
+    least: np.ndarray | float,
     term_mean: float,
     areas: np.ndarray | float,
     brightest: float,
-    events: np.ndarray | tuple[float, float] = (0.0, 0.0),
+    event: np.ndarray | float = 0.0,
+    quantum: float = 0.0,
 ) -> Comparison:
     """Compare replicate means (K, ...) and (R, ...), relative to the reference or `least` if larger.
 
-    `areas` are the pixels of each place, `brightest` is the largest pixel of any replicate, `events` are the sums over
-    pixels of the largest rare event of each side (see `largest_event`).
+    `areas` are the pixels of each place, `brightest` is the largest pixel of any replicate, `event` is the flux E,
+    `quantum` is the relative rounding of stored values beyond float32's.
     """
 
     def mean_and_variance(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,24 +114,26 @@ def welch(
         return values[0] + shifted.mean(axis=0), np.asarray(variance)
 
     (mean, variance), (other, other_variance) = mean_and_variance(ours), mean_and_variance(reference)
-    event = brightest / areas
-    variance = _borrowed(mean, variance, other, event / len(ours))
+    sample = brightest / areas
+    variance = _borrowed(mean, variance, other, sample / len(ours))
     if len(reference) > 1:
-        other_variance = _borrowed(other, other_variance, mean, event / len(reference))
+        other_variance = _borrowed(other, other_variance, mean, sample / len(reference))
     both = variance + other_variance
     noiseless = both == 0
     share = np.divide(variance, both, out=np.zeros_like(both), where=~noiseless)
     spread = share**2 / (len(ours) - 1) + (1 - share) ** 2 / max(len(reference) - 1, 1)
     dof = np.where(noiseless, len(ours) + len(reference) - 2, 1 / spread)
-    floor = np.hypot(TERM_FLOOR * term_mean, ULP_FLOOR * np.spacing(other.astype(np.float32)))
+    rounding = ULP_FLOOR * np.spacing(other.astype(np.float32)) + quantum * other
+    floor = np.hypot(TERM_FLOOR * term_mean, rounding)
     scale = np.maximum(other, least)
     error = np.hypot(np.sqrt(both), floor) / scale
     bias = np.asarray((mean - other) / scale)
-    event = np.where(bias < 0, events[0] / len(ours), events[1] / len(reference)) / areas
+    # One exact image has missed nothing.
+    missed = np.where(bias < 0, event / len(ours), event / len(reference) if len(reference) > 1 else 0.0) / areas
     own = np.where(bias < 0, variance, other_variance)
     # What is below 1e-15 of the noise is rounding, no event.
-    seen = np.divide(own, event**2, out=np.zeros_like(own), where=event**2 > 1e-30 * own)
-    return Comparison(mean, other, bias, error, scale, dof, noiseless, event / scale, seen)
+    seen = np.divide(own, missed**2, out=np.zeros_like(own), where=missed**2 > 1e-30 * own)
+    return Comparison(mean, other, bias, error, scale, dof, noiseless, missed / scale, seen)
 
 
 def _borrowed(mean: np.ndarray, variance: np.ndarray, other: np.ndarray, event: np.ndarray | float) -> np.ndarray:
@@ -139,20 +152,42 @@ def _borrowed(mean: np.ndarray, variance: np.ndarray, other: np.ndarray, event: 
     return np.where(lost, np.maximum(relative * other**2, event * other), variance)
 
 
+def stack(comparisons: Sequence[Comparison]) -> Comparison:
+    """Several of one shape as one, along a new first axis."""
+    names = [field.name for field in attrs.fields(Comparison)]
+    return Comparison(*(np.stack([getattr(each, name) for each in comparisons]) for name in names))
+
+
 def largest_event(sums: np.ndarray) -> np.ndarray:
-    """What the largest rare event adds to one of the replicates (n, places, channels), by channel; 0 without any."""
+    """What the largest rare event adds to one of the replicates (n, quantities, places), by quantity; 0 without any."""
     if len(sums) == 1:
-        return np.zeros(sums.shape[2])
+        return np.zeros(sums.shape[1])
     usual = np.sort(sums, axis=0)[: len(sums) - max(1, len(sums) // 4)]
     far = _OF_THE_LARGEST * student.isf(RARE_EVENT, len(usual) - 1) * usual.std(axis=0, ddof=1)
     excess = sums.max(axis=0) - usual.mean(axis=0)
-    return np.where(excess > far, excess, 0.0).max(axis=0)
+    return np.where(excess > far, excess, 0.0).max(axis=1)
+
+
+def cumulants(values: np.ndarray, axis: int = 0) -> np.ndarray:
+    """(2, ...): second and third cumulant of each place over the replicates along an axis, unbiased; 0 of one."""
+    count = values.shape[axis]
+    if count < 3:
+        return np.zeros((2, *np.delete(values.shape, axis)))
+    off = values - values.mean(axis=axis, keepdims=True)
+    square = off * off
+    second = square.sum(axis=axis) / (count - 1)
+    square *= off
+    return np.array([second, square.sum(axis=axis) * (count / ((count - 1) * (count - 2)))])
+
+
+def event_size(summed: np.ndarray) -> np.ndarray:
+    """(4,): flux of events that have these cumulants (2, 4) by Poisson's law, κ_3/κ_2; 0 where they are not skewed."""
+    second, third = summed
+    return np.maximum(np.divide(third, second, out=np.zeros_like(third), where=second > 0), 0.0)
 
 
 def median_skewness(values: np.ndarray) -> float:
     """Of replicate means (n, ...) over the places that vary; 0 where none does, or too few replicates tell."""
-    shifted = (values - values[0]).reshape(len(values), -1)
-    varying = shifted[:, shifted.any(axis=0)]
-    if len(values) < 3 or not varying.size:
-        return 0.0
-    return float(np.median(scipy.stats.skew(varying, axis=0, bias=False)))
+    second, third = cumulants(values - values[0])  # equal replicates: exactly 0
+    varying = second > 0
+    return float(np.median(third[varying] / second[varying] ** 1.5)) if varying.any() else 0.0
