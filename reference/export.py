@@ -22,6 +22,7 @@ from termwise.scenes.store import ROOT
 SOURCES = (
     "wavefront.py",
     "rays.py",
+    "paths.py",
     "prepare.py",
     "film.py",
     "kernel_reference.py",

@@ -22,8 +22,9 @@ import numpy as np
 
 from . import density
 from .density import Faces, Photons, Points
+from .rays import LIFT, lifted
 from .terms import direct, shadows, specular
-from .wavefront import camera_samples, pixel_means, shape_pointer
+from .wavefront import camera_samples, pixel_means, rowwise, shape_pointer
 
 MAX_SURVIVAL = 0.99
 PHOTONS = 100_000  # that are traced for a map whose mean does not depend on their count
@@ -176,7 +177,7 @@ def _sights(loaded: Any, limit: dict[str, Any], maps: int, seed: int) -> Callabl
             _, segment, weight, active = follow(samples)
             return segment.o, segment.d, dr.select(active, weight * share, 0.0)
 
-        origin, direction, weight = _each(ray, pixel, index + number * chains)
+        origin, direction, weight = rowwise(ray, pixel, index + number * chains)
         useful = weight.any(axis=1)
         return Sights(origin[useful], direction[useful], weight[useful], pixel[useful])
 
@@ -254,22 +255,12 @@ def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hit
         alive = here[rng.random(len(here)) < survival[here]]
         face = hit.face[alive]
         normal = surfaces.faces.normals[face] * hit.side[alive, None]
-        origin = _offset(hit.position[alive], normal)
+        origin = hit.position[alive] + LIFT * normal
         direction = _cosine_distributed(normal, rng.random((len(normal), 2)))
         power = power[alive]
         if weighted:
             power = power * (surfaces.albedo[face] / survival[alive, None])
     return Photons(*(np.concatenate(column) for column in zip(*landed, strict=True)))
-
-
-def _largest(rows: np.ndarray) -> np.ndarray:
-    """Largest of the three numbers in each row (N, 3); a quarter of the time of `max` along the short axis."""
-    return np.maximum(np.maximum(rows[:, 0], rows[:, 1]), rows[:, 2])
-
-
-def _offset(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Where Mitsuba lets a ray start that leaves a surface, lest it meets it again."""
-    return position + normal * (1.0 + _largest(np.abs(position)))[:, None] * mi.math.RayEpsilon
 
 
 def _cosine_distributed(normal: np.ndarray, uniform: np.ndarray) -> np.ndarray:
@@ -295,12 +286,17 @@ def emitters_of(scene: Any, faces: Faces) -> tuple[Emitter, ...]:
 
 def _rays(emitter: Any, uniform: np.ndarray) -> list[np.ndarray]:
     """Origins, directions and weights (N, 3) of an emitter's rays by numbers (N, 4)."""
+    point = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition)
 
     def sample(position: Any, direction: Any) -> tuple[Any, ...]:
         ray, power = emitter.sample_ray(0.0, 0.5, position, direction)
-        return ray.o, ray.d, power
+        if point:
+            return ray.o, ray.d, power
+        # Mitsuba's rays start further off the face than a cover may be away: the same point, lifted by less.
+        on_face, _ = emitter.sample_position(0.0, position)
+        return lifted(on_face.p, on_face.n, ray.d), ray.d, power
 
-    return _each(sample, uniform[:, :2], uniform[:, 2:])
+    return rowwise(sample, uniform[:, :2], uniform[:, 2:])
 
 
 def _cone(faces: Faces, light: np.ndarray) -> tuple[np.ndarray, float]:
@@ -359,29 +355,7 @@ def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray, dark: A
             face = dr.select(dark(si, si.is_valid()), -1, face)
         return si.p, face
 
-    position, number = _each(intersect, origin, direction)
+    position, number = rowwise(intersect, origin, direction)
     face = number.astype(np.int64)
     facing = np.einsum("nx,nx->n", direction, surfaces.faces.normals[face]) <= 0.0
     return Points(position, face, np.where(facing, 1.0, -1.0))
-
-
-def _each(function: Callable[..., tuple[Any, ...]], *columns: np.ndarray) -> list[np.ndarray]:
-    """Outputs (N,) or (N, d) float64 of a function of Mitsuba's values, for rows (N,) or (N, d) of its arguments.
-
-    All rows at once; one by one in a variant that has no lanes.
-    """
-    components = [np.atleast_2d(column.T) for column in columns]
-    kinds = [{1: mi.UInt32, 2: mi.Point2f, 3: mi.Point3f}[len(each)] for each in components]
-
-    def outputs(*values: Any) -> list[np.ndarray]:
-        # By components: from a whole array Dr.Jit would make code that holds its length, and compile it for each.
-        results = function(*(kind(*each) for kind, each in zip(kinds, values, strict=True)))
-        dr.eval(results)
-        return [np.array(result, np.float64).T for result in results]
-
-    if dr.is_jit_v(mi.Float):
-        count = len(columns[0])
-        # What is the same for all rows comes back as one.
-        return [np.broadcast_to(each, (count, *each.shape[1:])) for each in outputs(*components)]
-    rows = [outputs(*row) for row in zip(*(each.T.tolist() for each in components), strict=True)]
-    return [np.array(column) for column in zip(*rows, strict=True)]

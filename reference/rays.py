@@ -1,8 +1,13 @@
-"""Rays that leave a surface and the side that it shows, as the scene's `ignore` and `normals` have them.
+"""Rays that leave a surface, whether two points see each other, and the side that a surface shows.
 
-By default a ray meets whatever Mitsuba's does, and a surface is shaded from the viewer's side, as `twosided` does. With
-`ignore = "object"` a ray flies on through the faces of the object that it leaves; with `normals = "face"` a surface is
-shaded about its own normal, from whichever side it is seen. No integrator of Mitsuba's has either.
+Mitsuba's own rays start `(1 + max |p|) * 8.9e-5` above a face, and its shadow rays end 9e-4 of their length before the
+light: what covers a lamp more closely than that lets all light through. Here a point on a face is lifted off it by
+LIFT, a bound of what float32 rounds a point on a face by, and a segment between two such points is traced in its whole
+length: neither face is met again, and whatever else lies between blocks it.
+
+By default a surface is shaded from the viewer's side, as `twosided` does. With `ignore = "object"` a ray flies on
+through the faces of the object that it leaves; with `normals = "face"` a surface is shaded about its own normal, from
+whichever side it is seen.
 """
 
 from typing import Any
@@ -11,6 +16,10 @@ import drjit as dr
 import mitsuba as mi
 
 OWN_FACES = 64  # of the object that a ray leaves, that it may cross
+# At the canonical scale no coordinate of a vertex exceeds 50. A point is the sum of three of them by barycentric
+# coordinates: at most 2^-24 * 50 * (3 roundings of sums + 1 of the coordinates) * sqrt(3) = 2.1e-5 off its plane.
+LIFT = 2.0**-15
+TINY = 1e-20  # keeps a division defined between two points that are one
 
 
 def plain(loaded: Any) -> bool:
@@ -22,6 +31,39 @@ def side(loaded: Any, si: Any) -> Any:
     """+1 or -1: the sign of the shading frame's z that is lit."""
     one = mi.Float(1.0)
     return one if loaded.description["normals"] == "face" else dr.mulsign(one, si.wi.z)
+
+
+def lifted(point: Any, normal: Any, direction: Any) -> Any:
+    """A point of a face with that unit normal, moved off the face to the side that `direction` points to.
+
+    By LIFT where coordinates are those of the canonical scale, in proportion beyond (a sky's sphere).
+    """
+    farthest = dr.max(dr.abs(point))
+    distance = LIFT * dr.maximum(1.0, farthest * 0.02)
+    return dr.fma(normal, dr.mulsign(distance, dr.dot(normal, direction)), point)
+
+
+def spawn(si: Any, direction: Any) -> Any:
+    """The ray that leaves a surface in a unit direction, in the place of Mitsuba's `spawn_ray`."""
+    return mi.Ray3f(lifted(si.p, si.n, direction), direction)
+
+
+def segment(si: Any, point: Any, normal: Any) -> Any:
+    """The ray from a surface that ends at a point, in the place of Mitsuba's `spawn_ray_to`.
+
+    `normal` : unit, of the face that the point lies on; 0 for a point that lies on none.
+    """
+    direction = point - si.p
+    way = lifted(point, normal, -direction) - lifted(si.p, si.n, direction)
+    length = dr.norm(way)
+    ray = mi.Ray3f(lifted(si.p, si.n, direction), way / dr.maximum(length, TINY))
+    ray.maxt = length
+    return ray
+
+
+def normal_of(ds: Any) -> Any:
+    """What `segment` takes of a sample of a light: a point light has no face."""
+    return dr.select(ds.delta, mi.Normal3f(0.0), ds.n)
 
 
 def leave(loaded: Any, scene: Any, si: Any, ray: Any, active: Any) -> tuple[Any, Any]:
@@ -45,7 +87,7 @@ def _through(scene: Any, own: Any, ray: Any, met: Any, active: Any) -> tuple[Any
     crossed = mi.UInt32(0)
     while inside:
         reach = ray.maxt - met.t
-        ray = met.spawn_ray(ray.d)
+        ray = spawn(met, ray.d)
         ray.maxt = reach
         met = scene.ray_intersect(ray, inside)
         crossed += 1

@@ -42,7 +42,7 @@ def _ambient(loaded: Any, _limit: dict[str, Any]) -> Any:
         seen = mi.Float(0.0)
         for _ in range(ambient.RAYS):
             local = mi.warp.square_to_uniform_hemisphere(sampler.next_2d(active))
-            met = scene.ray_intersect(si.spawn_ray(si.to_world(local * rays.side(loaded, si))), active)
+            met = scene.ray_intersect(rays.spawn(si, si.to_world(local * rays.side(loaded, si))), active)
             seen += dr.select(met.is_valid() & (met.t < reach), 0.0, 2.0 * local.z)
         return dr.select(active, albedo * color * (seen / ambient.RAYS), 0.0)
 

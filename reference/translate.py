@@ -214,9 +214,23 @@ def _camera(scene: Scene, canonical: Canonical) -> dict[str, Any]:
         "corner": (forward - half * right + half / scene.aspect * up).tolist(),
         "across": (2.0 * half * right).tolist(),
         "down": (-2.0 * half / scene.aspect * up).tolist(),
+        "ball": _ball(scene, canonical),
         "pixel": scene.camera.pixel,
         "resolution": list(scene.resolution),
     }
+
+
+def _ball(scene: Scene, canonical: Canonical) -> float:
+    """Radius of the ball about the origin that holds all geometry, where camera rays begin; 0: at the camera.
+
+    A sky's sphere that does not hold the ball may end before it: the sky is then looked up from the camera.
+    """
+    low, high = canonical.points(scene.bounds())
+    radius = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))
+    bounded = scene.sky.texture is not None and math.isfinite(scene.sky.radius)
+    if bounded and np.linalg.norm(canonical.points(scene.sky.center)) + radius > scene.sky.radius * canonical.scale:
+        return 0.0
+    return radius
 
 
 def _rgb(color: Any) -> dict[str, Any]:

@@ -35,6 +35,7 @@ from termwise.reports.rows.looks import Group, Source, exact_group, jobs, of_cas
 from termwise.reports.rows.measurement import decided, tests_of, tile_maps
 from termwise.reports.statistics import sequential, verdict
 from termwise.reports.study import audits, exact
+from termwise.reports.study.geometry_audit import Finding
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import CHAIN, Subject, subjects
 from termwise.scenes.model import Scene
@@ -123,13 +124,14 @@ class _Run:
         self.described: dict[str, Any] = {}
         self.groups: list[Group] = []
         self.audits: list[audits.Audit] = []
+        self.geometry: list[Finding] = []
         self.extrapolations: list[dict[str, Any]] = []
 
     def results(self, name: str, arguments: dict[str, Any] | None) -> dict[str, Any]:
         """Have the jobs done, make the rows, look again as far as the budget goes, decide, and write the images."""
         failed = self._first_look()
         tests = sum(tests_of(row) for group in self.groups for row in group.rows if row.judged)
-        audited = audits.decide(self.audits)
+        audited = audits.decide(self.audits, self.geometry)
         looks = 1
         if self.study.budget is not None:
             looks = len(sequential.LOOKS)
@@ -193,7 +195,7 @@ class _Run:
         """Rows, audits, images and description of a subject whose jobs are done."""
         source = Source(self.study, subject, self.desk, self.sources.get(subject.unchanged.name))
         measured = source.measure()
-        made, checked = source.groups(measured), source.audits()
+        made, checked, geometry = source.groups(measured), source.audits(), source.geometry()
         sweeps = [images.sweep(cell) for cell in measured]
         self.pictures.write(subject, measured, sweeps, *source.images(), source.objects, versions())
         found = source.extrapolations()
@@ -202,6 +204,7 @@ class _Run:
         self.extrapolations += found
         self.groups += made
         self.audits += checked
+        self.geometry.append(geometry)
 
     def _look_again(self, budget: float, tests: int, audited: list[dict[str, Any]]) -> None:
         """Undecided rows with more replicates, as far as the budget goes."""

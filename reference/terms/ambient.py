@@ -1,7 +1,6 @@
 """Ambient: `color (1 - g) L_a0 (1/π) ∫ hit(w) mu dw`, hit(w) = 1 where nothing lies within the range.
 
-Infinite range: Mitsuba's `direct` integrator under a `constant` emitter of radiance L_a0. Finite range: no built-in
-has one, so cosine-distributed rays of limited length are cast here. Range 0, or a limit without occlusion: AO is 1.
+Cosine-distributed rays as long as the range are cast. Range 0, or a limit without occlusion: AO is 1.
 With N rings the integral is `(2/N) Σ mu_k hit_k`, mu_k = k / (N + 1), its azimuths uniform. Where the paper's shadow
 rule makes a point dark, its albedo is `color`.
 """
@@ -33,19 +32,10 @@ def incoming(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = RAYS) 
     """(ray, sampler, active) -> the term seen along the ray; black where it misses."""
     scene = loaded.scenes["ambient"]
     reach = loaded.description["ambient"]["range"] if limit["occluded"] else 0.0
-    if built_in(loaded, limit):
-        direct = mi.load_dict(INTEGRATOR | {"bsdf_samples": occlusion_rays})
-
-        def unbounded(ray: Any, sampler: Any, active: Any) -> Any:
-            color, valid, _ = direct.sample(scene, sampler, mi.RayDifferential3f(ray), None, active)
-            return dr.select(valid & active, color, 0.0)
-
-        return unbounded
-
     dark = shadows.rule(loaded, limit, "ambient")
     color = dr.opaque(mi.Color3f, loaded.description["ambient"]["color"])
 
-    def bounded(ray: Any, sampler: Any, active: Any) -> Any:
+    def radiance(ray: Any, sampler: Any, active: Any) -> Any:
         si = scene.ray_intersect(ray, active)
         active = si.is_valid() & active
         if idle(active):
@@ -64,12 +54,13 @@ def incoming(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = RAYS) 
             else:
                 local = ring_direction(sampler.next_2d(active), limit["rings"])
                 weight = 2.0 * local.z
-            occlusion_ray = si.spawn_ray(si.to_world(local * rays.side(loaded, si)))
-            occlusion_ray.maxt = dr.opaque(mi.Float, reach)
+            occlusion_ray = rays.spawn(si, si.to_world(local * rays.side(loaded, si)))
+            if reach < UNBOUNDED:
+                occlusion_ray.maxt = dr.opaque(mi.Float, reach)
             seen += dr.select(rays.blocked(loaded, scene, si, occlusion_ray, active), 0.0, weight)
         return dr.select(active, albedo * color * (seen / occlusion_rays), 0.0)
 
-    return bounded
+    return radiance
 
 
 def built_in(loaded: Any, limit: dict[str, Any]) -> bool:

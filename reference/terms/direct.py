@@ -1,8 +1,7 @@
 """Direct: `color (1 - g) E / π`, E from the lights alone, over the first hit or over all diffuse bounces.
 
-Mitsuba's `path` integrator in a scene whose surfaces are all diffuse with albedo `color (1 - g)`. Its roulette is
-off: the survival probability capped at 0.95 has infinite variance for albedos above 0.975. Where the scene's rays or
-normals are not Mitsuba's, the same path is followed here, with light sampling at every vertex.
+Paths (see `paths`) in a scene whose surfaces are all diffuse with albedo `color (1 - g)`. Where the scene's rays or
+normals are not Mitsuba's, they are lit by light sampling alone.
 """
 
 import functools
@@ -11,7 +10,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .. import rays
+from .. import paths, rays
 from ..wavefront import Estimator, Samples, meets_surface, pixel_means
 from . import shadows
 
@@ -35,7 +34,7 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     if not loaded.description["has_lights"]:
         return lambda ray, sampler, active: mi.Color3f(0.0)
     depth = depth_of(loaded, limit)
-    by_path = reflected(loaded.scenes["direct"], depth)
+    by_path = paths.reflected(loaded.scenes["direct"], depth)
     radiance = by_path if rays.plain(loaded) else functools.partial(followed, loaded, depth)
     factor = dr.opaque(mi.Float, loaded.description["irradiance_factor"])
     dark = shadows.rule(loaded, limit, "diffuse")
@@ -52,7 +51,7 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
 
 @dr.syntax
 def followed(loaded: Any, depth: int, ray: Any, sampler: Any, active: Any) -> Any:
-    """As `reflected`, by the scene's own rays and normals, lit by light sampling alone."""
+    """As `paths.reflected`, by the scene's own rays and normals, lit by light sampling alone."""
     scene = loaded.scenes["direct"]
     si = scene.ray_intersect(ray, active)
     active = mi.Bool(active & meets_surface(si))
@@ -64,10 +63,10 @@ def followed(loaded: Any, depth: int, ray: Any, sampler: Any, active: Any) -> An
         ds, light = scene.sample_emitter_direction(si, sampler.next_2d(active), False, active)
         cosine = dr.maximum(side * dr.dot(si.sh_frame.n, ds.d), 0.0)
         lit = active & (ds.pdf > 0.0) & (cosine > 0.0)
-        lit &= ~rays.blocked(loaded, scene, si, si.spawn_ray_to(ds.p), lit)
+        lit &= ~rays.blocked(loaded, scene, si, rays.segment(si, ds.p, rays.normal_of(ds)), lit)
         color += dr.select(lit, throughput * light * (cosine * dr.inv_pi), 0.0)
         local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
-        _, si = rays.leave(loaded, scene, si, si.spawn_ray(si.to_world(side * local)), active)
+        _, si = rays.leave(loaded, scene, si, rays.spawn(si, si.to_world(side * local)), active)
         vertices += 1
         active &= (vertices < last) & meets_surface(si)
     return color
@@ -76,20 +75,6 @@ def followed(loaded: Any, depth: int, ray: Any, sampler: Any, active: Any) -> An
 def depth_of(loaded: Any, limit: dict[str, Any]) -> int:
     """Path depth that the scope of a limit needs."""
     return FIRST_HIT if limit["scope"] == "first-hit" else sufficient_depth(loaded, "direct")
-
-
-def reflected(scene: Any, depth: int) -> Any:
-    """(ray, sampler, active) -> light that `path` finds reflected at least once, none emitted along the ray."""
-    path = mi.load_dict(integrator(depth) | {"hide_emitters": True})
-
-    def radiance(ray: Any, sampler: Any, active: Any) -> Any:
-        # With `hide_emitters` Mitsuba lets camera rays pass through a light's surface; ours is black and opaque.
-        si = scene.ray_intersect(ray, active)
-        active = active & meets_surface(si)
-        color, _, _ = path.sample(scene, sampler, mi.RayDifferential3f(ray), None, active)
-        return dr.select(active, color, 0.0)
-
-    return radiance
 
 
 def integrator(depth: int) -> dict[str, Any]:
@@ -110,7 +95,7 @@ def sufficient_depth(loaded: Any, role: str) -> int:
     camera = loaded.description["camera"] | {"resolution": [side, side]}
 
     def mean(depth: int) -> float:
-        radiance = reflected(loaded.scenes[role], depth)
+        radiance = paths.reflected(loaded.scenes[role], depth)
         image = pixel_means(lambda s: (radiance(s.ray, s.sampler, True),), camera, spp=spp, seed=0)
         return float(image.mean())
 

@@ -22,7 +22,9 @@ def rule(loaded: Any, limit: dict[str, Any], role: str) -> Any:
     def hidden(si: Any, active: Any, centre: Any, thing: int) -> Any:
         open_lanes, blocked = mi.Bool(active), mi.Bool(False)
         for _ in range(OWN_FACES):
-            _, hit = rays.leave(loaded, scene, si, si.spawn_ray_to(centre), open_lanes)
+            ray = rays.segment(si, centre, mi.Normal3f(0.0))
+            ray.maxt -= 4.0 * rays.LIFT  # what lies in the plane of a light's face does not hide its centre
+            _, hit = rays.leave(loaded, scene, si, ray, open_lanes)
             met = open_lanes & hit.is_valid()
             own = met & (hit.shape == shape_pointer(shapes[thing])) if thing >= 0 else mi.Bool(False)
             blocked |= dr.select(own, False, met)

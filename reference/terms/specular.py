@@ -76,7 +76,7 @@ def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Sam
         direction, weight = sample_lobes(si, point, sampler, active)
         throughput *= weight
         active &= dr.any(throughput != 0.0)
-        ray, si = rays.leave(loaded, scene, si, si.spawn_ray(si.to_world(direction)), active)
+        ray, si = rays.leave(loaded, scene, si, rays.spawn(si, si.to_world(direction)), active)
         color += throughput * sky_radiance(ray, active & (si.t == dr.inf))
         active &= si.is_valid()
         here = active & (depth == chosen)

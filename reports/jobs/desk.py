@@ -13,12 +13,14 @@ from termwise.renderer.fingerprint import Unknown
 from termwise.renderer.plan import powers_of_two
 from termwise.renderer.terms import Chain, Variant, find
 from termwise.renderer.terms.estimator import sent
-from termwise.reports.jobs import cells
+from termwise.reports.jobs import cells, geometry
 from termwise.reports.jobs.cells import Cell, Replicate
 from termwise.reports.jobs.executors import Executor, InThisProcess, Job
+from termwise.reports.jobs.geometry import GeometryAudit
 from termwise.reports.jobs.references import ReferenceReplicate, reference_jobs
 from termwise.reports.progress import Report, silent
 from termwise.reports.statistics.sequential import Item, Ledger
+from termwise.reports.study.geometry_audit import Finding
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 
@@ -107,6 +109,10 @@ class Desk:
         """`factor` times the reference replicates of the study, as far as Mitsuba's backend affords them."""
         paced = self.pace(scene, limit, factor=factor, spp=spp, by_second=by_second)
         return reference_jobs(scene, limit, paced, seed=self._study.seed, by_second=by_second)
+
+    def geometry_job(self, scene: Scene) -> GeometryAudit:
+        """The geometry audit of a scene."""
+        return GeometryAudit(scene, self._study.seed)
 
     def pace(self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False) -> store.Pace:
         """Samples and replicates of a reference: all that are asked for, but on `scalar_rgb`, where a pilot decides."""
@@ -207,6 +213,10 @@ class Desk:
         )
         return kept._replace(shortfall=paced.shortfall)
 
+    def geometry(self, scene: Scene) -> Finding:
+        """What the `geometry_job` of a scene has found."""
+        return geometry.read(self.geometry_job(scene), self._cache / "geometry")
+
     def book(self, scene: Scene, taken: Sequence[Cell], kept: Mapping[Limit, store.Replicates]) -> dict[Item, int]:
         """Put down the seconds of what a judged row is made of; returns its replicates."""
         seconds = {Item("ours", cell.key): cell.seconds[:, -1] for cell in taken}
@@ -222,5 +232,7 @@ def _name(job: Job) -> tuple[object, ...]:
     """Equal for jobs that make the same file."""
     if isinstance(job, Replicate):
         return job.key, job.number
+    if isinstance(job, GeometryAudit):
+        return id(job.scene), job.seed
     # Of one scene by its object: its content decides the file's name, which costs more to tell.
     return id(job.scene), job.limit, job.spp, job.number, job.by_second

@@ -8,12 +8,13 @@ from typing import Protocol, Self
 import attrs
 
 from termwise.renderer.engine import Engine
-from termwise.reports.jobs import cells, references
+from termwise.reports.jobs import cells, geometry, references
 from termwise.reports.jobs.cells import Replicate
+from termwise.reports.jobs.geometry import GeometryAudit
 from termwise.reports.jobs.references import ReferenceReplicate
 from termwise.scenes.model import Scene
 
-Job = Replicate | ReferenceReplicate
+Job = Replicate | ReferenceReplicate | GeometryAudit
 
 
 @attrs.frozen(eq=False)
@@ -101,6 +102,8 @@ class Worker:
         try:
             if isinstance(job, ReferenceReplicate):
                 return Outcome(job, references.take(job, self._cache / "reference"))
+            if isinstance(job, GeometryAudit):
+                return Outcome(job, geometry.take(job, self._cache / "geometry"))
             engine = self._ready(job.scene)
             compiled = engine.compile_seconds
             made = cells.take(engine, job, self._cache / "cells")

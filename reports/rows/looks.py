@@ -31,6 +31,7 @@ from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.sequential import Item
 from termwise.reports.study import audits
 from termwise.reports.study.exact import Case
+from termwise.reports.study.geometry_audit import Finding
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import CHAIN, Subject, own_limit
 from termwise.scenes import limits
@@ -51,6 +52,7 @@ def jobs(study: Study, subject: Subject, desk: Desk) -> list[Job]:
     asked = limits_of(study, subject)
     for limit in asked:
         listed += desk.reference_jobs(subject.scene, limit, spp=reference_samples(study, limit))
+    listed.append(desk.geometry_job(subject.scene))
     for variant in _variants(subject):
         listed += desk.jobs(of_variant(study, subject, variant))
     for limit in _seconds(study, subject, asked):
@@ -199,6 +201,10 @@ class Source:
             for limit in _seconds(self.study, self.subject, tuple(rendered))
         }
         return audits.audits(scene, rendered, seconds, compare=self._compare)
+
+    def geometry(self) -> Finding:
+        """What Mitsuba met and saw in the scene, against float64."""
+        return self.desk.geometry(self.subject.scene)
 
     def extrapolations(self) -> list[dict[str, Any]]:
         """What photon kernels tend to as their radius shrinks."""

@@ -5,6 +5,8 @@ margin needed and nothing allowed, at a level of its own over all audits of the 
 
 - *halves*: the first half of its replicates against the second half. Finds replicates that share random numbers or
   drift, and noise that the replicates do not show.
+- *geometry*: a thousand of Mitsuba's answers, what rays meet and which points see each other, against float64 (see
+  `geometry_audit`). Finds what both integrators share: rays that leak, and single precision that does not hold a scene.
 - *second integrator*: the same integral by other sampling (`reference.second`), from other random numbers. Finds what
   both halves share: a wrong weight, a density that is not that of the samples, a strategy that misses light.
 
@@ -21,12 +23,16 @@ from termwise import reference
 from termwise.reference import store
 from termwise.reports.statistics import replicates, rule
 from termwise.reports.statistics.accumulation import Statistics
+from termwise.reports.study.geometry_audit import Finding
 from termwise.scenes.limits import Limit, correct
 from termwise.scenes.model import Scene
 
 Test = Literal["halves", "second integrator"]
+GEOMETRY = "geometry"
 
 AGREES, DISAGREES, UNDECIDED, ABSENT = "agrees", "disagrees", "undecided", "absent"
+# Of a verdict, what an audit says too.
+_MEASURED = "bias", "bias_low", "bias_high", "standard_error", "detectable_bias", "rms_bias_high"
 _WORDS = {"EQUIVALENT": AGREES, "BIASED": DISAGREES, "UNDERPOWERED": UNDECIDED, "ABSENT": ABSENT}
 
 
@@ -102,8 +108,11 @@ def audits(
     return found
 
 
-def decide(found: Iterable[Audit]) -> list[dict[str, Any]]:
-    """A row for each audit: scene, term, limit, test, word, bias with its intervals, what it cannot see."""
+def decide(found: Iterable[Audit], geometry: Iterable[Finding] = ()) -> list[dict[str, Any]]:
+    """A row for each audit: scene, term, limit, test, word, bias with its intervals, what it cannot see.
+
+    `geometry` : of each scene, whose rows stand for all of its terms and have no bias.
+    """
     every = list(found)
     tests = sum(each.statistics.tests for each in every)
     rows = []
@@ -117,18 +126,31 @@ def decide(found: Iterable[Audit]) -> list[dict[str, Any]]:
                 "limit": described(each.limit),
                 "test": each.test,
                 "word": _WORDS[outcome.verdict],
-                "bias": outcome.bias,
-                "bias_low": outcome.bias_low,
-                "bias_high": outcome.bias_high,
-                "standard_error": outcome.standard_error,
-                "detectable_bias": outcome.detectable_bias,
-                "rms_bias_high": outcome.rms_bias_high,
+                **{name: getattr(outcome, name) for name in _MEASURED},
                 "reasons": list(outcome.reasons),
                 "samples": each.samples,
                 "seconds": each.seconds,
             }
         )
+    for finding in geometry:
+        rows.append(
+            {
+                "scene": finding.scene,
+                "term": None,
+                "limit": "every term",
+                "test": GEOMETRY,
+                "word": AGREES if finding.place is None else DISAGREES,
+                **dict.fromkeys(_MEASURED),
+                "reasons": [] if finding.place is None else [_told(finding)],
+                "samples": finding.asked,
+                "seconds": finding.seconds,
+            }
+        )
     return rows
+
+
+def _told(finding: Finding) -> str:
+    return f"{finding.differ} of {finding.asked} answers of Mitsuba's differ from float64's: {finding.place}"
 
 
 def findings(rows: Iterable[dict[str, Any]], scene: Scene, used: Iterable[Limit]) -> tuple[str | None, list[str]]:
@@ -136,8 +158,12 @@ def findings(rows: Iterable[dict[str, Any]], scene: Scene, used: Iterable[Limit]
 
     The worst word, None without any audit; and why those that disagree do.
     """
-    names = {described(reference.shared(scene, limit)) for limit in used}
-    about = [row for row in rows if row["scene"] == scene.name and row["limit"] in names]
+    limits = [reference.shared(scene, limit) for limit in used]
+    names = {described(limit) for limit in limits}
+    here = [row for row in rows if row["scene"] == scene.name]
+    about = [row for row in here if row["limit"] in names]
+    # It has no noise that could hide anything: where it agrees, it leaves the word to the others.
+    about += [row for row in here if limits and row["test"] == GEOMETRY and row["word"] == DISAGREES]
     words = {row["word"] for row in about}
     worst = next((word for word in (DISAGREES, UNDECIDED, AGREES, ABSENT) if word in words), None)
     failed = [f"{row['limit']}, {row['test']}: {row['reasons'][0]}" for row in about if row["word"] == DISAGREES]

@@ -1,0 +1,74 @@
+"""The geometry audit of a scene as a job: what it found is one small file, named by all that decides it."""
+
+import hashlib
+import importlib.metadata
+import json
+from pathlib import Path
+
+import attrs
+
+from termwise.reference import backend
+from termwise.reports.study import geometry_audit
+from termwise.reports.study.geometry_audit import Finding
+from termwise.scenes import reads
+from termwise.scenes.model import Scene, absorb
+from termwise.scenes.store import ROOT, sources_digest, write_atomically
+
+# Fields of a scene that an audit depends on: what a setting changes beside them needs no audit of its own.
+_READ = "camera", "objects.name", "objects.mesh", "objects.emission", "lights", "resolution", "ignore"
+
+
+@attrs.frozen(eq=False)
+class GeometryAudit:
+    """The audit of a scene, see `reports.study.geometry_audit`, as a job. It can be pickled."""
+
+    scene: Scene
+    seed: int
+
+    @property
+    def what(self) -> str:
+        """As progress names it."""
+        return f"{self.scene.name}: geometry"
+
+    def path(self, folder: Path) -> Path:
+        """Its file in the folder of the cache."""
+        versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit", "numpy")]
+        sources = sources_digest(*(ROOT / name for name in ("reference", "scenes", "reports/study")))
+        state = hashlib.sha256()
+        for field, kind, value in reads.fields_of(self.scene):
+            if field.startswith(_READ):
+                absorb(state, (field, kind, value))
+        settings = repr((state.hexdigest(), self.seed, backend.choose().variant, versions, sources))
+        name = hashlib.sha256(settings.encode()).hexdigest()
+        return folder / name[:2] / f"{name}.json"
+
+
+def take(job: GeometryAudit, folder: Path) -> bool:
+    """Audit a scene and keep what was found in `folder`, unless it is there; whether it was not."""
+    path = job.path(folder)
+    if _read(path) is not None:
+        return False
+    text = json.dumps(attrs.asdict(geometry_audit.audit(job.scene, seed=job.seed)))
+    write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
+    return True
+
+
+def read(job: GeometryAudit, folder: Path) -> Finding:
+    """What an audit found.
+
+    Raises
+    ------
+    ValueError : its file is missing or damaged.
+    """
+    path = job.path(folder)
+    found = _read(path)
+    if found is None:
+        raise ValueError(f"{path}: is missing or damaged: allowed is an audit that was kept")
+    return attrs.evolve(found, scene=job.scene.name)
+
+
+def _read(path: Path) -> Finding | None:
+    try:
+        return Finding(**json.loads(path.read_text("utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
