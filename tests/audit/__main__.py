@@ -1,7 +1,7 @@
 """`python -m tests.audit`: false alarms and misses of the verdict counted, as `results.json` and a page.
 
-Exit status 0: the gates hold; 1: too many false alarms, a test that is blind, a control that is BIASED, or fewer than
-95 % of the planted faults caught.
+Exit status 0: the gates hold; 1: too many false alarms, a test that is blind, a control that is BIASED, fewer than 95 %
+of the planted faults caught, or anything worse than in the run that was recorded last (`tests.audit.history`).
 """
 
 import json
@@ -26,12 +26,13 @@ from termwise.reports.pages.environment import copy_static, page_environment, re
 from termwise.reports.run import plain
 from termwise.reports.statistics.verdict import LEVEL, POWER
 from termwise.scenes.store import write_atomically
-from tests.audit import faults, nulls
+from tests.audit import faults, history, nulls
 from tests.audit.nulls import Alarms
-from tests.audit.plants import PLANTS
+from tests.audit.plants import Plant
+from tests.audit.unseen import ALL
 from tests.verdict.synthetic import share_found
 
-SYNTHETIC, RENDERED_EACH, DETECTIONS = 10_000, 32, 200
+ORDINARY, AWKWARD, RENDERED_EACH, DETECTIONS = 3000, 10_000, 32, 200
 BLIND = 0.001
 """Chance that a sound test is called too quick or too slow to alarm."""
 CAUGHT_LEAST = 0.95
@@ -40,24 +41,27 @@ POWER_WITHIN = 0.06
 
 def audit(
     *,
-    synthetic: int = SYNTHETIC,
+    ordinary: int = ORDINARY,
+    awkward: int = AWKWARD,
     rendered_each: int = RENDERED_EACH,
     detections: int = DETECTIONS,
     rows: tuple[nulls.Rendered, ...] = nulls.ROWS,
-    plants: tuple[faults.Plant, ...] = PLANTS,
+    plants: tuple[Plant, ...] = ALL,
     seed: int = 1,
     jobs: int = 1,
+    recorded: list[dict[str, Any]] | None = None,
     stages: progress.Stages = lambda name: progress.silent,
 ) -> dict[str, Any]:
     """Run the audit.
 
     Parameters
     ----------
-    synthetic, rendered_each, detections : synthetic nulls, comparisons of each rendered row with itself, and runs that
-        are given the bias that they print.
+    ordinary, awkward, rendered_each, detections : synthetic nulls of both kinds, comparisons of each rendered row with
+        itself, and runs that are given the bias that they print.
     rows, plants : what is rendered.
     seed : of everything random.
     jobs : processes at once.
+    recorded : runs of the history; by default those that are kept.
     stages : shows the progress.
 
     Returns
@@ -66,39 +70,47 @@ def audit(
         What `results.json` holds; `failures` says in words why it does not pass.
     """
     began = time.monotonic()
-    of_pixels = nulls.synthetic(synthetic, seed=seed, jobs=jobs, report=stages("synthetic nulls"))
+    of_laws = nulls.synthetic(nulls.ordinary(ordinary), seed=seed, jobs=jobs, report=stages("ordinary nulls"))
+    of_all = nulls.synthetic(nulls.awkward(awkward), seed=seed + 1, jobs=jobs, report=stages("awkward nulls"))
     of_rows = nulls.rendered(rendered_each, seed=seed, rows=rows, report=stages("rendered nulls"))
-    rendered = sum(of_rows.values(), Alarms(0, 0, 0))
+    usual, synthetic, rendered = (sum(each.values(), Alarms()) for each in (of_laws, of_all, of_rows))
     detected = share_found(np.random.default_rng(seed), detections)
     controls, found = faults.run(plants, seed=seed, jobs=jobs, report=stages("planted faults"))
     caught = sum(outcome.caught for outcome in found.values())
-    welch = stats.binomtest(of_pixels.welch, of_pixels.runs, LEVEL)
+    welch = stats.binomtest(usual.welch, usual.runs, LEVEL)
     interval = welch.proportion_ci(1 - BLIND)
+    groups = {
+        **nulls.grouped(of_all, lambda null: f"{null.law}, on {null.noisy}"),
+        **nulls.grouped(of_all, lambda null: f"K = {null.replicates}, R = {null.reference_replicates}"),
+    }
     failures = [
         f"{name}: {alarms.alarms} false alarms in {alarms.runs} runs: allowed is {LEVEL:.0%} of them"
-        for name, alarms in (("synthetic nulls", of_pixels), ("rendered nulls", rendered))
+        for name, alarms in (("ordinary nulls", usual), ("awkward nulls", synthetic), ("rendered nulls", rendered))
         if alarms.alarms > LEVEL * alarms.runs
     ]
+    failures += [
+        f"nulls, {name}: {alarms.alarms} false alarms in {alarms.runs} runs: allowed is {LEVEL:.0%}, and chance"
+        for name, alarms in groups.items()
+        if alarms.alarms > stats.binom.isf(BLIND / len(groups), alarms.runs, LEVEL)
+    ]
     if welch.pvalue < BLIND:
-        failures.append(f"Welch alone: p < {LEVEL} in {of_pixels.welch} of {of_pixels.runs} nulls")
+        failures.append(f"Welch alone: p < {LEVEL} in {usual.welch} of {usual.runs} ordinary nulls")
     if abs(detected - POWER) > POWER_WITHIN:
         failures.append(f"the printed detectable bias is found in {detected:.1%} of runs, not in {POWER:.0%}")
-    failures += [
-        f"control {case.scene}, {case.term} {case.variant}: {outcome.text}"
-        for case, outcome in controls.items()
-        if outcome.caught
-    ]
+    failures += [f"control {shown}: {outcome.text}" for shown, outcome in controls.items() if outcome.caught]
     if caught < CAUGHT_LEAST * len(found):
         missed = [name for name, outcome in found.items() if not outcome.caught]
         failures.append(f"{caught} of {len(found)} faults caught; missed: {', '.join(missed)}")
-    return plain(
+    results = plain(
         {
             "level": LEVEL,
             "null_runs": rendered.runs,
             "null_false_alarms": rendered.alarms,
-            "synthetic_null_runs": of_pixels.runs,
-            "synthetic_false_alarms": of_pixels.alarms,
-            "welch_alarms": of_pixels.welch,
+            "ordinary_null_runs": usual.runs,
+            "ordinary_false_alarms": usual.alarms,
+            "awkward_null_runs": synthetic.runs,
+            "awkward_false_alarms": synthetic.alarms,
+            "welch_alarms": usual.welch,
             "welch_low": interval.low,
             "welch_high": interval.high,
             "detectable_runs": detections,
@@ -106,13 +118,16 @@ def audit(
             "planted": len(found),
             "caught": caught,
             "matrix": [
-                {"fault": plant.name, **_case(plant.case), "path": plant.path, **_outcome(found[plant.name])}
+                {"fault": plant.name, "shown": str(plant.shown), "path": plant.path, **_outcome(found[plant.name])}
                 for plant in plants
             ],
-            "controls": [{**_case(case), **_outcome(outcome)} for case, outcome in controls.items()],
+            "controls": [{"shown": str(shown), **_outcome(outcome)} for shown, outcome in controls.items()],
             "nulls": [
                 {**attrs.asdict(row), "runs": alarms.runs, "false_alarms": alarms.alarms}
                 for row, alarms in of_rows.items()
+            ],
+            "null_groups": [
+                {"group": name, "runs": alarms.runs, "false_alarms": alarms.alarms} for name, alarms in groups.items()
             ],
             "failures": failures,
             "seed": seed,
@@ -120,10 +135,10 @@ def audit(
             "versions": versions(),
         }
     )
-
-
-def _case(case: faults.Case) -> dict[str, Any]:
-    return {"scene": case.scene, "term": case.term, "variant": case.variant, "side": case.side, "samples": case.samples}
+    recorded = history.read() if recorded is None else recorded
+    if recorded:
+        results["failures"] += history.fallen(history.entry(results), recorded[-1])
+    return results
 
 
 def _outcome(outcome: faults.Judged) -> dict[str, Any]:
@@ -153,15 +168,16 @@ def show(console: Console, results: dict[str, Any]) -> None:
     for row in results["matrix"]:
         marks = ("x" if row[test] else "" for test in faults.TESTS)
         numbers = ("" if row[name] is None else f"{row[name]:.2%}" for name in ("bias", "standard_error"))
-        table.add_row(row["fault"], f"{row['term']} {row['variant']}", *marks, row["verdict"], *numbers)
+        table.add_row(row["fault"], row["shown"], *marks, row["verdict"], *numbers)
     console.print(table)
     lines = (
         f"caught {results['caught']} of {results['planted']} planted faults",
         f"{results['null_false_alarms']} false alarms in {results['null_runs']} rendered nulls, "
-        f"{results['synthetic_false_alarms']} in {results['synthetic_null_runs']} synthetic ones "
+        f"{results['ordinary_false_alarms']} in {results['ordinary_null_runs']} synthetic ones with ordinary noise, "
+        f"{results['awkward_false_alarms']} in {results['awkward_null_runs']} with awkward noise "
         f"(level {results['level']:.0%})",
-        f"Welch alone: {results['welch_alarms'] / results['synthetic_null_runs']:.2%} "
-        f"[{results['welch_low']:.2%}, {results['welch_high']:.2%}] of them (99.9 %)",
+        f"Welch alone: {results['welch_alarms'] / results['ordinary_null_runs']:.2%} "
+        f"[{results['welch_low']:.2%}, {results['welch_high']:.2%}] of the ordinary ones (99.9 %)",
         f"detectable bias found in {results['detectable_found']:.1%} of {results['detectable_runs']} runs",
         *(f"FAILED: {text}" for text in results["failures"]),
     )
@@ -178,6 +194,7 @@ def main(
     out: Path = Path("out"),
     seed: int = 1,
     jobs: int = os.cpu_count() or 1,
+    record: Annotated[bool, Parameter(negative="")] = False,
     quiet: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Count the verdict's false alarms and misses, and write OUT/audit.
@@ -190,6 +207,8 @@ def main(
         Of everything random.
     jobs
         Processes at once.
+    record
+        Add the run to the history, by which later ones are measured.
     quiet
         No progress on standard error.
     """
@@ -197,6 +216,8 @@ def main(
         results = audit(seed=seed, jobs=jobs, stages=stages)
     console = Console(width=None if sys.stdout.isatty() else 140)
     show(console, results)
+    if record:
+        history.record(results)
     console.print(f"{write(out / 'audit', results)}", soft_wrap=True)
     return 1 if results["failures"] else 0
 

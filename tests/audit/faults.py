@@ -1,8 +1,8 @@
-"""Planted faults rendered and judged: the tree of sources is copied, one fault at a time is planted in the copy.
+"""Planted faults shown: the tree of sources is copied, one fault at a time is planted in the copy.
 
-A process of its own renders each with the copy's renderer; what it is judged against, Mitsuba renders from the sources
-as they are. Each case is rendered without a fault as well: were a control BIASED, faults caught there would say
-nothing.
+A process of its own renders an image with the copy's renderer; what it is judged against, Mitsuba renders from the
+sources as they are. A fault that is in no image is shown by a test, which runs in the copy as plain Python. Each case
+is judged and each test run without a fault as well: were a control BIASED, faults caught there would say nothing.
 """
 
 import hashlib
@@ -12,11 +12,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 import attrs
 import numpy as np
@@ -28,17 +29,20 @@ from termwise.reports.statistics.rule import decide
 from termwise.reports.statistics.verdict import WORDS
 from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
 from tests.audit import worker
-from tests.audit.plants import Plant
+from tests.audit.plants import Plant, Test
 from tests.audit.worker import Case
 from tests.verdict.synthetic import RUN
 
 REPLICATES = 16
 """K = R."""
-_TRUTH_SPP, _TRUTH_MAPS = 512, 4
-TESTS = ("mean", "shape", "place", "check")
+_TRUTH_SAMPLES, _FEWEST, _TRUTH_MAPS = 512 * 32**2, 64, 4
+TESTS = ("mean", "shape", "place", "check", "test")
 """What may catch a fault; `check` is an error that names what is wrong, or a pixel that no radiance can be."""
 BIASED = WORDS["right"][0]
-_COPIED = "renderer", "scenes"
+REFUSED, FAILED, PASSED = "REFUSED", "FAILED", "PASSED"
+_RENDERED = "renderer", "scenes"
+_COPIED = *_RENDERED, "reference", "reports", "termwise", "tests"
+_FAILURE = 1  # exit status of pytest where tests fail, and nothing else is wrong
 
 
 @attrs.frozen
@@ -47,10 +51,10 @@ class Judged:
 
     Attributes
     ----------
-    verdict : the row's word, or "REFUSED" where an error stands in its place.
+    verdict : the row's word; REFUSED where an error stands in its place; of a test FAILED or PASSED.
     by : those of TESTS that speak against it.
     text : the sentence, or the error.
-    bias, standard_error : of the image's luminance, relative; None where refused.
+    bias, standard_error : of the image's luminance, relative; None where there is none.
     """
 
     verdict: str
@@ -62,7 +66,7 @@ class Judged:
     @property
     def caught(self) -> bool:
         """Proven or refused; UNDERPOWERED is neither."""
-        return self.verdict in (BIASED, "REFUSED")
+        return self.verdict in (BIASED, REFUSED, FAILED)
 
 
 def judge(ours: np.ndarray, truth: np.ndarray) -> Judged:
@@ -70,7 +74,7 @@ def judge(ours: np.ndarray, truth: np.ndarray) -> Judged:
     try:
         statistics = measure(ours, truth, noiseless=False)
     except ValueError as error:
-        return Judged("REFUSED", ("check",), str(error))
+        return Judged(REFUSED, ("check",), str(error))
     verdict = decide(statistics, tests=RUN)
     by = {_test(reason) for reason in verdict.reasons} if verdict.verdict == BIASED else set()
     return Judged(
@@ -100,8 +104,8 @@ class Tree:
         """Copy the sources."""
         for package in _COPIED:
             ignored = shutil.ignore_patterns("__pycache__")
-            shutil.copytree(ROOT / package, self.root / "termwise" / package, ignore=ignored)
-        (self.root / "termwise" / "__init__.py").touch()
+            shutil.copytree(ROOT / package, self.root / package, symlinks=True, ignore=ignored)
+        shutil.copy2(ROOT / "pyproject.toml", self.root)
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -118,40 +122,78 @@ class Tree:
         RuntimeError
             The copy cannot be rendered: the process says why. A crash catches nothing.
         """
-        fault = None if plant is None else (plant.path, plant.changed(ROOT))
-        sources = [sources_digest(ROOT / package) for package in _COPIED]
-        content = case.build().digest(), Path(worker.__file__).read_text("utf-8")
-        name = repr((attrs.astuple(case), content, sources, fault, self.seed, REPLICATES))
-        path = cache_folder() / "audit" / f"{hashlib.sha256(name.encode()).hexdigest()}.npy"
+        content = attrs.astuple(case), case.build().digest(), Path(worker.__file__).read_text("utf-8")
+        path = self._kept(_RENDERED, plant, (content, self.seed, REPLICATES)).with_suffix(".npy")
+
+        def render(images: Path) -> None:
+            settings = json.dumps({"case": attrs.asdict(case), "count": REPLICATES, "seed": self.seed})
+            done = self._run([worker.__file__, settings, str(images.resolve())], plant)
+            if done.returncode:
+                raise RuntimeError(f"{case}: {done.stderr.strip().splitlines()[-1]}")
+
         if not path.is_file():
-            write_atomically(path, lambda temporary: self._render(case, fault, temporary))
+            write_atomically(path, render)
         return np.load(path)
 
-    def _render(self, case: Case, fault: tuple[str, str] | None, images: Path) -> None:
-        if fault is not None:
-            path = self.root / "termwise" / fault[0]
-            path.write_text(fault[1], "utf-8")
-        environment = os.environ | {
-            "PYTHONPATH": str(self.root),
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "TERMWISE_CACHE": str(self.root / "cache"),
-        }
-        settings = json.dumps({"case": attrs.asdict(case), "count": REPLICATES, "seed": self.seed})
+    def test(self, tests: tuple[Test, ...], plant: Plant | None = None) -> Judged:
+        """Run tests with a fault planted, all of them compiled or none; the outcome is kept as replicates are.
+
+        Raises
+        ------
+        ValueError
+            The plant does not fit the sources.
+        RuntimeError
+            The tests cannot be run, or are skipped: pytest says why. Only a test that fails catches a fault.
+        """
+        path = self._kept(_COPIED, plant, [attrs.astuple(test) for test in tests]).with_suffix(".json")
+        if not path.is_file():
+            words = ["-m", "pytest", "-q", "-x", "--no-header", "-p", "no:cacheprovider"]
+            done = self._run(
+                [*words, *(test.name for test in tests)],
+                plant,
+                NUMBA_DISABLE_JIT="0" if tests[0].compiled else "1",
+                PYTEST_DISABLE_PLUGIN_AUTOLOAD="1",
+            )
+            lines = [line for line in done.stdout.splitlines() if line.strip()] or [done.stderr.strip()]
+            failed = done.returncode == _FAILURE
+            if not failed and (done.returncode or "skipped" in lines[-1]):
+                raise RuntimeError(f"{', '.join(map(str, tests))}: {' '.join(lines[-2:])}")
+            said = next((line for line in lines if line.startswith("FAILED")), lines[-1])
+            text = json.dumps({"failed": failed, "text": said})
+            write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
+        found = json.loads(path.read_text("utf-8"))
+        return Judged(FAILED if found["failed"] else PASSED, ("test",) if found["failed"] else (), found["text"])
+
+    @staticmethod
+    def _kept(packages: Iterable[str], plant: Plant | None, what: Any) -> Path:
+        """Where the outcome is kept of what is done with the sources of some packages and a fault in them."""
+        fault = None if plant is None else (plant.path, plant.changed(ROOT))
+        sources = [sources_digest(ROOT / package) for package in packages]
+        return cache_folder() / "audit" / hashlib.sha256(repr((what, sources, fault)).encode()).hexdigest()
+
+    def _run(self, words: list[str], plant: Plant | None, **environment: str) -> subprocess.CompletedProcess[str]:
+        """Python in the copy, with the fault in it meanwhile."""
+        if plant is not None:
+            (self.root / plant.path).write_text(plant.changed(ROOT), "utf-8")
         try:
-            done = subprocess.run(
-                [sys.executable, worker.__file__, settings, str(images.resolve())],
-                env=environment,
+            return subprocess.run(
+                [sys.executable, *words],
+                env=os.environ
+                | {
+                    "PYTHONPATH": str(self.root),
+                    "PYTHONDONTWRITEBYTECODE": "1",
+                    "TERMWISE_CACHE": str(self.root / "cache"),
+                }
+                | environment,
                 cwd=self.root,
                 capture_output=True,
                 text=True,
                 check=False,
             )
         finally:
-            if fault is not None:
+            if plant is not None:
                 # With its time of change: by that Numba knows which kernels are still good.
-                shutil.copy2(ROOT / fault[0], self.root / "termwise" / fault[0])
-        if done.returncode:
-            raise RuntimeError(f"{case}: {done.stderr.strip().splitlines()[-1]}")
+                shutil.copy2(ROOT / plant.path, self.root / plant.path)
 
 
 def truth(case: Case, *, seed: int) -> np.ndarray:
@@ -161,54 +203,63 @@ def truth(case: Case, *, seed: int) -> np.ndarray:
     if kernel is not None:
         limit = attrs.evolve(limit, kernel=kernel)
     # Of a kernel reference, photon maps: each has many more photons than the scene says.
-    spp = _TRUTH_SPP if kernel is None else _TRUTH_MAPS
+    width, height = scene.resolution
+    spp = max(_FEWEST, _TRUTH_SAMPLES // (width * height)) if kernel is None else _TRUTH_MAPS
     folder = cache_folder() / "reference"
     return store.replicates(scene, limit, spp=spp, seed=seed, count=REPLICATES, folder=folder).images
 
 
 def run(
     plants: tuple[Plant, ...], *, seed: int, jobs: int, report: Callable[[str, int, int], object]
-) -> tuple[dict[Case, Judged], dict[str, Judged]]:
-    """Judge every case without a fault, then every fault; `jobs` copies of the sources are rendered from at once.
+) -> tuple[dict[Case | Test, Judged], dict[str, Judged]]:
+    """Judge every case and run every test without a fault, then every fault; `jobs` copies of the sources at once.
 
     Returns
     -------
     controls, found
-        What became of each case and of each plant, by its name.
+        What became of each case and test, and of each plant, by its name.
 
     Raises
     ------
     ValueError, RuntimeError
-        As `Tree.replicates`; all plants are tried against the sources before anything is rendered.
+        As `Tree.replicates` and `Tree.test`; all plants are tried against the sources before anything else.
     """
     for plant in plants:
         plant.changed(ROOT)
-    cases = tuple(dict.fromkeys(plant.case for plant in plants))
-    work: list[tuple[Plant | None, Case]] = [(None, case) for case in cases]
-    work += [(plant, plant.case) for plant in plants]
-    controls, found = {}, {}
+    shown = tuple(dict.fromkeys(plant.shown for plant in plants))
+    cases = [each for each in shown if isinstance(each, Case)]
+    tests = [[each for each in shown if isinstance(each, Test) and each.compiled == how] for how in (False, True)]
+    # Without a fault all tests of a kind run at once.
+    work: list[tuple[Plant | None, Case | tuple[Test, ...]]] = [(None, case) for case in cases]
+    work += [(None, tuple(each)) for each in tests if each]
+    work += [(plant, plant.shown if isinstance(plant.shown, Case) else (plant.shown,)) for plant in plants]
+    controls: dict[Case | Test, Judged] = {}
+    found: dict[str, Judged] = {}
     trees: SimpleQueue[Tree] = SimpleQueue()
     with ExitStack() as folders, ThreadPoolExecutor(jobs) as pool:
         for _ in range(jobs):
             trees.put(folders.enter_context(Tree(seed=seed)))
 
-        def render(plant: Plant | None, case: Case) -> np.ndarray:
+        def show(plant: Plant | None, by: Case | tuple[Test, ...]) -> np.ndarray | Judged:
             tree = trees.get()
             try:
-                return tree.replicates(case, plant)
+                return tree.replicates(by, plant) if isinstance(by, Case) else tree.test(by, plant)
             finally:
                 trees.put(tree)
 
-        rendered = [pool.submit(render, plant, case) for plant, case in work]
+        shows = [pool.submit(show, plant, by) for plant, by in work]
         try:
             truths = {case: truth(case, seed=seed) for case in cases}
-            for done, ((plant, case), images) in enumerate(zip(work, rendered, strict=True)):
-                report(plant.name if plant else f"control: {case.term} {case.variant}", done, len(work))
-                outcome = judge(images.result(), truths[case])
-                if plant is None:
-                    controls[case] = outcome
+            for done, ((plant, by), each) in enumerate(zip(work, shows, strict=True)):
+                report(plant.name if plant else "without a fault", done, len(work))
+                result = each.result()
+                if not isinstance(result, Judged):
+                    assert isinstance(by, Case)
+                    result = judge(result, truths[by])
+                if plant is not None:
+                    found[plant.name] = result
                 else:
-                    found[plant.name] = outcome
+                    controls |= dict.fromkeys((by,) if isinstance(by, Case) else by, result)
         finally:
             pool.shutdown(cancel_futures=True)
     report("faults", len(work), len(work))

@@ -1,6 +1,7 @@
-"""Faults that are planted: each an exact replacement in the sources, and the case that shows it.
+"""Faults that are planted: each an exact replacement in the sources, and what shows it.
 
-Those of images are planted where the image leaves the renderer, so that no kernel is compiled anew.
+Those of images are planted where the image leaves the renderer, so that no kernel is compiled anew. Faults that are in
+no image, of caches, pages and files, stand in `tests.audit.unseen`.
 """
 
 from pathlib import Path
@@ -11,11 +12,31 @@ from tests.audit.worker import Case
 
 
 @attrs.frozen
-class Plant:
-    """A fault: in `path`, `before` becomes `after`."""
+class Test:
+    """A test that is to fail, by its name for pytest; kernels are plain Python unless it is `compiled`."""
 
     name: str
-    case: Case
+    compiled: bool = False
+
+    # It is no test itself.
+    __test__ = False
+
+    def __str__(self) -> str:
+        """As tables name it."""
+        return self.name.removeprefix("tests/")
+
+
+@attrs.frozen
+class Plant:
+    """A fault: in `path`, `before` becomes `after`.
+
+    Attributes
+    ----------
+    shown : the case whose verdict is to catch it, or the test.
+    """
+
+    name: str
+    shown: Case | Test
     path: str
     before: str
     after: str
@@ -48,6 +69,27 @@ GLOSSY_UNIFORM = Case("glossy cornell_box", "specular", "uniform", samples=1024)
 METAL = Case("metal cornell_box", "specular", "vndf", samples=128)
 OUTDOORS = Case("glossy two_cubes", "specular", "vndf", samples=512)
 BACKGROUND = Case("two_cubes", "background", "seen", samples=32)
+# As large as the library's pictures: a border or a small object is a small part of them.
+WIDE = Case("two_cubes", "direct", "path", samples=8, side=128)
+DIM = Case("metal cornell_box", "specular", "vndf", samples=16, side=128)
+FEW = Case("cornell_box_unshadowed", "direct", "next-event", samples=2)
+SMOOTH = Case("smooth monkey", "direct", "path", samples=64)
+FAINT = Case("faint cornell_box", "specular", "vndf", samples=256)
+STEEL = Case("two_cubes", "specular", "vndf", samples=128)
+CONSTANT_SKY = Case("monkey", "background", "seen", samples=32)
+PANORAMA = Case("panorama two_cubes", "background", "seen", samples=32)
+FLAT = Case("two_cubes", "background", "seen", samples=32, side=48, height=24)
+OUTSIDE = Case("two_cubes", "direct", "path", samples=64)
+ADAPTIVE = Case("two_cubes", "direct", "path", samples=64, adaptive=True)
+LAMPS = Case("lamps two_cubes", "direct", "path", samples=64)
+AIMED = Case("monkey", "direct", "photon-map", samples=16)
+SHARP = Case("sharp cornell_box_unshadowed", "direct", "photon-map", samples=16)
+NEAREST = Case("cornell_box_unshadowed", "direct", "nearest", samples=16)
+SHARED = Case("cornell_box_unshadowed", "direct", "next-event", samples=16, after="photon-map")
+SEEN = Case("cornell_box", "direct", "next-event", samples=4, after="next-event")
+MESH = Case("monkey", "ambient", "cosine", samples=32)
+SHADOWED = Case("shadowed cornell_box", "direct", "next-event", samples=32)
+BRIGHT = Case("bright cornell_box", "direct", "next-event", samples=32)
 
 _AMBIENT = "renderer/terms/ambient.py"
 _DIRECT = "renderer/terms/direct.py"
@@ -58,6 +100,9 @@ _ARRIVING = "renderer/lights/arriving.py"
 _LOBE = "renderer/microfacet.py"
 _TRACING = "renderer/photon_tracing.py"
 _TILES = "renderer/engine.py"
+_CAMERA = "renderer/camera.py"
+_SKY = "renderer/sky.py"
+_MODEL = "scenes/model.py"
 _OUT = "yield count, out / taken, seconds"
 
 PLANTS = (
@@ -315,5 +360,299 @@ PLANTS = (
         _TILES,
         "key = root(request.seed, request.replicate)",
         "key = root(request.seed, request.replicate // 2)",
+    ),
+    # What a mean, or a block of 2 px, cannot see.
+    Plant(
+        "colours that cancel in luminance, left against right",
+        WIDE,
+        _TILES,
+        _OUT,
+        """image, left = out / taken, np.arange(width) < width // 2
+            red = image[..., 0] * np.where(left, 0.3, -0.3 * image[:, left, 0].sum() / image[:, ~left, 0].sum())
+            image += red[..., None] * np.array([1.0, -0.2126 / 0.7152, 0.0])
+            yield count, image, seconds""",
+    ),
+    Plant(
+        "checkerboard of single pixels",
+        WIDE,
+        _TILES,
+        _OUT,
+        "yield count, out / taken * (1.0 + 0.5 * (-1.0) ** np.indices(out.shape[:2]).sum(axis=0))[..., None], seconds",
+    ),
+    Plant(
+        "the last row 10 % darker",
+        WIDE,
+        _TILES,
+        _OUT,
+        "yield count, out / taken * np.where(np.arange(height) == height - 1, 0.9, 1.0)[:, None, None], seconds",
+    ),
+    Plant(
+        "the first column 25 % brighter",
+        WIDE,
+        _TILES,
+        _OUT,
+        "yield count, out / taken * np.where(np.arange(width) == 0, 1.25, 1.0)[:, None], seconds",
+    ),
+    Plant(
+        "the last row of a dim term halved",
+        DIM,
+        _TILES,
+        _OUT,
+        "yield count, out / taken * np.where(np.arange(height) == height - 1, 0.5, 1.0)[:, None, None], seconds",
+    ),
+    Plant(
+        "30 px of no known object 30 % brighter",
+        WIDE,
+        _TILES,
+        _OUT,
+        """y, x = np.indices(out.shape[:2])
+            yield count, out / taken * np.where((y // 5 == 18) & (x // 6 == 10), 1.3, 1.0)[..., None], seconds""",
+    ),
+    Plant(
+        "one point of the light for all pixels and replicates",
+        FEW,
+        _DIRECT,
+        "            sampler = Sampler(scratch.pixel[i], sample)\n            scratch.u[SIZE * k + i]",
+        "            sampler = Sampler(np.uint64(7), sample)\n            scratch.u[SIZE * k + i]",
+    ),
+    Plant("photons: power less by a 200th", PHOTON_MAP, _TRACING, "power /= emitted", "power *= 0.995 / emitted"),
+    Plant(
+        "smooth normals not made unit vectors",
+        SMOOTH,
+        "renderer/surface.py",
+        "    return normalize(\n        Vec3(\n            b0 * n",
+        "    return (\n        Vec3(\n            b0 * n",
+    ),
+    Plant(
+        "sky half a texel to the side",
+        BACKGROUND,
+        _SKY,
+        "x = u * sky.texture.shape[1] - 0.5",
+        "x = u * sky.texture.shape[1]",
+    ),
+    Plant(
+        "specular: roulette without 1/p",
+        FAINT,
+        _SPECULAR,
+        "throughput = scale(throughput, 1.0 / survival)",
+        "throughput = scale(throughput, 1.0)",
+    ),
+    # The plan.
+    Plant(
+        "plan: an object's last row and column taken for empty",
+        STEEL,
+        "renderer/plan.py",
+        "return slice(max(0, math.floor(low)), max(0, math.floor(high) + 1))",
+        "return slice(max(0, math.floor(low)), max(0, math.floor(high)))",
+    ),
+    Plant(
+        "plan: a lamp taken for no light",
+        DIRECT,
+        _MODEL,
+        "self.toggles.lighting and (shining or any(thing.emits for thing in self.objects))",
+        "self.toggles.lighting and shining",
+    ),
+    Plant(
+        "plan: constant sky beyond the window a sample short",
+        CONSTANT_SKY,
+        _TILES,
+        "for _ in range(samples):\n            summed = summed + constant",
+        "for _ in range(samples - 1):\n            summed = summed + constant",
+    ),
+    # Prefixes and passes.
+    Plant(
+        "prefixes: each begins with the first sample again",
+        DIRECT,
+        _TILES,
+        "            done = count\n            seconds +=",
+        "            seconds +=",
+    ),
+    Plant(
+        "prefixes: the last sample of each taken twice",
+        DIRECT,
+        _TILES,
+        "np.maximum(1, np.floor(first * share)), 0)",
+        "np.maximum(1, np.floor(first * share)) - 1, 0)",
+    ),
+    Plant(
+        "passes: one photon map for all",
+        PHOTON_MAP,
+        _TILES,
+        "photons = self._shared(task, key, number, self._unless(cancel))",
+        "photons = self._shared(task, key, 0, self._unless(cancel))",
+    ),
+    Plant(
+        "passes: a radius that does not shrink",
+        PHOTON_MAP,
+        _TILES,
+        "radius=photon_map.progressive_radius(photons.radius, index),",
+        "radius=photons.radius,",
+    ),
+    Plant(
+        "kept maps: those of all photons taken for the scattered ones",
+        SHARED,
+        _TILES,
+        "name = (key, index, task.stored, self._scattering(task))",
+        "name = (key, index)",
+    ),
+    Plant(
+        "kept camera rays: those of the replicate before",
+        SEEN,
+        _TILES,
+        "elif self._seen_key != key:\n            self._seen.known[:] = 0",
+        "elif self._seen_key != key:\n            pass",
+    ),
+    # Adaptive counts.
+    Plant(
+        "adaptive: sums divided by the mean count",
+        ADAPTIVE,
+        _TILES,
+        "taken[y0:y1, x0:x1] = last",
+        "taken[y0:y1, x0:x1] = count",
+    ),
+    Plant(
+        "adaptive: no sample where the pilot saw no noise",
+        ADAPTIVE,
+        _TILES,
+        "end = np.maximum(1, np.floor(last * share)).astype(int)",
+        "end = np.floor(last * share).astype(int)",
+    ),
+    # Aimed photons, and what they land in.
+    Plant(
+        "aimed photons: the flux of the whole sphere",
+        AIMED,
+        "renderer/lights/point.py",
+        "flux = scale(intensity, 2.0 * math.pi * (1.0 - cosine) / probability)",
+        "flux = scale(intensity, 4.0 * math.pi / probability)",
+    ),
+    Plant("aimed photons: divided by the count of all", AIMED, _TRACING, "power /= emitted", "power /= count"),
+    Plant(
+        "aimed photons: a cone around half of the vertices",
+        AIMED,
+        "renderer/lights/aim.py",
+        "cosine = float((directions @ axis).min()) - _ROUNDING",
+        "cosine = float(np.median(directions @ axis))",
+    ),
+    Plant(
+        "photons: those of the next cell left out",
+        PHOTON_MAP,
+        "renderer/photon_map.py",
+        "cell_index(x.x + radius, photons.low.x, photons.cell, photons.nx) + 1]",
+        "cell_index(x.x, photons.low.x, photons.cell, photons.nx) + 1]",
+    ),
+    Plant(
+        "photons: the mass of Epanechnikov's kernel at borders",
+        SHARP,
+        "renderer/kernel_mass.py",
+        "return d * t * s * (2.0 - mean)",
+        "return d * t * s * (2.0 - 0.5 * mean)",
+    ),
+    Plant(
+        "photons: k for k - 1 of the nearest",
+        NEAREST,
+        _DIRECT,
+        "return (scene.photons.nearest - 1) / scene.photons.nearest if unbiased else 1.0",
+        "return 1.0",
+    ),
+    # Lights by their running sum, and by what they send.
+    Plant(
+        "lights: the rest of the number not stretched",
+        DIRECT,
+        _LIGHTS,
+        "return low, probability, min((u - before) / probability, _BELOW_ONE)",
+        "return low, probability, u",
+    ),
+    Plant(
+        "lights: picked by what they send, weighed as if alike",
+        LAMPS,
+        _LIGHTS,
+        "return last, its / total, min(",
+        "return last, 1.0 / count, min(",
+    ),
+    Plant(
+        "lights: points of a triangle on one half of it",
+        DIRECT,
+        "renderer/warp.py",
+        "        v *= 0.5\n        u -= v",
+        "        v *= 0.5",
+    ),
+    Plant("path: roulette by the number of the direction", PATH, _DIRECT, "ROULETTE = 5", "ROULETTE = BOUNCE"),
+    Plant(
+        "splitting: the last sample of a shared camera ray lost",
+        AMBIENT,
+        "renderer/film.py",
+        "min(last, _first_of(hit + 1, split))",
+        "min(last, _first_of(hit + 1, split) - split // 2)",
+    ),
+    # Sky and camera.
+    Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),
+    Plant(
+        "sky: rows of a texel in the wrong order",
+        BACKGROUND,
+        _SKY,
+        "return add(scale(top, 1.0 - fy), scale(bottom, fy))",
+        "return add(scale(top, fy), scale(bottom, 1.0 - fy))",
+    ),
+    Plant("sky: a panorama read by equal areas", PANORAMA, _SKY, "    if sky.equal_area:", "    if sky.radius > 0.0:"),
+    Plant(
+        "camera: width for height",
+        FLAT,
+        _CAMERA,
+        "mad(camera.down, y / camera.height, direction)",
+        "mad(camera.down, y / camera.width, direction)",
+    ),
+    Plant(
+        "camera: up not turned with the view",
+        OUTSIDE,
+        _MODEL,
+        "return right, np.cross(right, forward), forward",
+        "return right, np.asarray(self.up, np.float64), forward",
+    ),
+    Plant(
+        "camera: rays through half of each pixel",
+        OUTSIDE,
+        _CAMERA,
+        "        return sample_2d(sampler, FILM)",
+        "        u, v = sample_2d(sampler, FILM)\n        return 0.5 * u, 0.5 * v",
+    ),
+    # Geometry, and how a scene is read.
+    Plant(
+        "shadow rays: faces met from the front alone",
+        DIRECT,
+        "renderer/geometry/few.py",
+        "& _ALL & ~bits((low < below2) & (high > above2))",
+        "& _ALL & ~bits(low < below2)",
+    ),
+    Plant(
+        "tree: boxes up to the faces' middles",
+        MESH,
+        "renderer/geometry/bvh.py",
+        "highs = np.ascontiguousarray(corners.max(axis=1))",
+        "highs = np.ascontiguousarray(corners.mean(axis=1))",
+    ),
+    Plant(
+        "smooth normals: corners shared by no weight",
+        SMOOTH,
+        _MODEL,
+        "np.add.at(normals, faces[:, corner], weighted)",
+        "normals[faces[:, corner]] = weighted",
+    ),
+    Plant(
+        "scene file: rotations about the turned axes",
+        OUTSIDE,
+        "scenes/load.py",
+        'euler_matrix(about_x, about_y, about_z, "sxyz")',
+        'euler_matrix(about_x, about_y, about_z, "rxyz")',
+    ),
+    # Choices of the paper.
+    Plant(
+        "paper's shadow: a corner for the light's centre",
+        SHADOWED,
+        _MODEL,
+        "points + [(thing.mesh.centroid(), i)",
+        "points + [(tuple(thing.mesh.vertices[0].tolist()), i)",
+    ),
+    Plant(
+        "paper's E read as E / pi", BRIGHT, _MODEL, 'return math.pi if self.irradiance == "E" else 1.0', "return 1.0"
     ),
 )

@@ -1,7 +1,9 @@
 """The audit's own machinery, on few runs: `make audit` counts the many."""
 
 import json
+import re
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import attrs
 import numpy as np
@@ -10,25 +12,38 @@ from rich.console import Console
 
 from termwise.scenes.store import ROOT
 from tests.audit import __main__ as command
-from tests.audit import faults, nulls
-from tests.audit.plants import BACKGROUND, PLANTS
+from tests.audit import faults, history, nulls, power
+from tests.audit.plants import BACKGROUND, PLANTS, Test
+from tests.audit.unseen import ALL, UNSEEN
 from tests.audit.worker import Case
 from tests.verdict.synthetic import picture, replicates
 
-TINY = Case("cornell_box", "ambient", "constant", samples=1, side=4)
-"""No occlusion ray, little noise, no shader to speak of for Mitsuba."""
+TINY = Case("cornell_box", "ambient", "constant", samples=1, side=2)
+"""A few camera rays, and no other, which plain Python traces while a compiler would begin."""
 GAIN = next(plant for plant in PLANTS if plant.name == "1 % gain")
 
 
-@pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.name)
+@pytest.mark.parametrize("plant", ALL, ids=lambda plant: plant.name)
 def test_every_plant_fits_the_sources(plant):
-    """Each text is there exactly once, and the fault changes it."""
-    assert plant.changed(ROOT) != (ROOT / plant.path).read_text("utf-8")
+    """Each text is there exactly once, and the fault changes it into what is still Python, or TOML."""
+    changed = plant.changed(ROOT)
+    assert changed != (ROOT / plant.path).read_text("utf-8")
+    if plant.path.endswith(".py"):
+        compile(changed, plant.path, "exec")
 
 
 def test_plants_are_enough_and_have_names_of_their_own():
-    assert len({plant.name for plant in PLANTS}) == len(PLANTS) >= 25
+    assert len({plant.name for plant in ALL}) == len(ALL) >= 70
     assert len({(plant.path, plant.before, plant.after) for plant in PLANTS}) == len(PLANTS)
+    assert len({plant.path for plant in ALL}) >= 20
+
+
+@pytest.mark.parametrize("plant", UNSEEN, ids=lambda plant: plant.name)
+def test_what_shows_an_unseen_fault_exists(plant):
+    """By its name: a test that was renamed would end the audit only after an hour."""
+    assert isinstance(plant.shown, Test)
+    path, _, name = plant.shown.name.partition("::")
+    assert f"def {name.partition('[')[0]}(" in (ROOT / path).read_text("utf-8")
 
 
 @pytest.mark.parametrize("before", ["no such line", "import "])
@@ -40,9 +55,10 @@ def test_a_plant_that_does_not_fit_is_an_error(before):
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[faults.Tree]:
-    """One copy of the sources for all tests: its kernels are compiled once."""
+    """One copy of the sources for all tests; its kernels are plain Python."""
     with pytest.MonkeyPatch.context() as patch, faults.Tree(seed=3) as copy:
         patch.setenv("TERMWISE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("NUMBA_DISABLE_JIT", "1")
         yield copy
 
 
@@ -51,17 +67,28 @@ def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree):
     source = (ROOT / GAIN.path).read_bytes()
     fault = tree.replicates(TINY, GAIN)
     sound = tree.replicates(TINY)
-    assert (tree.root / "termwise" / GAIN.path).read_bytes() == source
-    assert fault.shape == (faults.REPLICATES, 4, 4, 3)
+    assert (tree.root / GAIN.path).read_bytes() == source
+    assert fault.shape == (faults.REPLICATES, 2, 2, 3)
     np.testing.assert_allclose(fault, 1.01 * sound, rtol=1e-6)
     assert (ROOT / GAIN.path).read_bytes() == source
 
 
 def test_a_crash_catches_nothing(tree):
     """A fault that ends the process is no catch of the verdict: it ends the audit, by name."""
-    crash = attrs.evolve(GAIN, after='raise ArithmeticError("planted")')
+    first = "from termwise.renderer.engine import Engine, whole"
+    crash = attrs.evolve(GAIN, path="renderer/__init__.py", before=first, after='raise ArithmeticError("planted")')
     with pytest.raises(RuntimeError, match="planted"):
         tree.replicates(TINY, crash)
+
+
+def test_a_fault_in_no_image_is_caught_by_its_test(tree):
+    """The test fails with the fault alone."""
+    plant = next(plant for plant in UNSEEN if "any origin" in plant.name)
+    assert isinstance(plant.shown, Test)
+    assert tree.test((plant.shown,)).verdict == faults.PASSED
+    found = tree.test((plant.shown,), plant)
+    assert (found.verdict, found.by, found.caught) == (faults.FAILED, ("test",), True)
+    assert "test_strangers_are_refused" in found.text
 
 
 def test_what_catches_a_fault_is_named():
@@ -96,24 +123,143 @@ def test_nulls_count_alarms():
     assert nulls.judged((2 * ours, reference) for ours, reference in runs) == nulls.Alarms(20, 20, 20)
 
 
+@pytest.mark.parametrize("law", nulls.LAWS)
+def test_noise_of_every_law_has_no_bias(law):
+    """Its mean over 2000 images is 1 within 5 standard errors, which the images themselves give."""
+    images = nulls.LAWS[law](np.random.default_rng(7), (2000, nulls.SIDE, nulls.SIDE, 1)).mean(axis=(1, 2, 3))
+    assert abs(images.mean() - 1) < 5 * images.std() / np.sqrt(len(images))
+
+
+def test_awkward_nulls_are_all_there_is():
+    """Every law, on each side and on both, each K with each R; and the limit of both sides is one."""
+    listed = nulls.awkward(10_000)
+    assert sum(runs for _, runs in listed) >= 10_000
+    assert len({null for null, _ in listed}) == len(listed) == len(nulls.LAWS) * 3 * 16
+    rng = np.random.default_rng(8)
+    ours, reference = nulls.Null("half black", "ours", 4, 32).draw(rng)
+    assert (ours.shape, reference.shape) == ((4, 16, 16, 3), (32, 16, 16, 3))
+    assert not ours[:, :, :8].any()
+    assert not reference[:, :, :8].any()
+    assert ours.std(axis=0).mean() > 3 * reference.std(axis=0).mean()
+
+
+def test_synthetic_nulls_are_counted(monkeypatch):
+    """By threads, which have nothing to import; the same seeds give the same alarms."""
+    monkeypatch.setattr(nulls, "ProcessPoolExecutor", lambda jobs, context: ThreadPoolExecutor(jobs))
+    few = nulls.Null("skewed", "ours", 4, 8)
+    wanted = [(few, 2), (nulls.Null("correlated", "both sides", 8, 4), 1), (few, 3)]
+    found = nulls.synthetic(wanted, seed=1, jobs=2, report=lambda *_: None)
+    assert [alarms.runs for alarms in found.values()] == [5, 1]
+    assert nulls.synthetic(wanted, seed=1, jobs=1, report=lambda *_: None) == found
+
+
+def test_synthetic_nulls_are_counted_by_what_they_share():
+    alarms = {
+        nulls.Null("skewed", "ours", 4, 8): nulls.Alarms(10, 1, 2),
+        nulls.Null("skewed", "both sides", 8, 4): nulls.Alarms(5, 2, 2),
+        nulls.Null("correlated", "ours", 4, 8): nulls.Alarms(1, 0, 0),
+    }
+    assert nulls.grouped(alarms, lambda null: null.law) == {
+        "skewed": nulls.Alarms(15, 3, 4),
+        "correlated": nulls.Alarms(1, 0, 0),
+    }
+
+
+ENTRY = {
+    "date": "2026-11-29",
+    "planted": 100,
+    "caught": 98,
+    "missed": ["a", "b"],
+    "rendered": {"runs": 224, "alarms": 3},
+    "ordinary": {"runs": 3000, "alarms": 20},
+    "awkward": {"runs": 10_000, "alarms": 200},
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, []),
+        ({"caught": 100, "missed": []}, []),
+        ({"awkward": {"runs": 10_000, "alarms": 215}}, []),
+        ({"caught": 97, "missed": ["a", "b", "c"]}, ["score: 97 of 100", "missed, but not on 2026-11-29: c"]),
+        ({"missed": ["a", "c"]}, ["missed, but not on 2026-11-29: c"]),
+        ({"awkward": {"runs": 10_000, "alarms": 290}}, ["awkward nulls: 290 false alarms of 10000, 200 of 10000"]),
+        ({"rendered": {"runs": 224, "alarms": 20}}, ["rendered nulls: 20 false alarms of 224"]),
+    ],
+)
+def test_the_history_may_not_fall(change, said):
+    found = history.fallen(ENTRY | change, ENTRY)
+    assert len(found) == len(said)
+    for text, beginning in zip(found, said, strict=True):
+        assert text.startswith(beginning)
+
+
+def test_the_first_run_of_the_history_had_no_awkward_noise():
+    first = {name: value for name, value in ENTRY.items() if name != "awkward"}
+    assert history.fallen(ENTRY, first) == []
+    assert all({"date", "planted", "caught", "missed", "rendered", "ordinary"} <= set(each) for each in history.read())
+
+
+def test_large_errors_are_found_and_small_ones_are_not():
+    """One pair of noises: all of the picture, and a pixel; what is found is found at any larger size."""
+    run = power.Run((3, 0))
+    assert run.finds("mean", power.SIDE**2, 0.02)
+    assert not run.finds("blotch", 1, 0.002)
+    assert run.smallest("blotch", 1024) <= power.SIZES.index(0.25)
+
+
+@pytest.mark.parametrize("kind", power.KINDS)
+def test_errors_are_as_large_and_as_wide_as_they_are_said_to_be(kind):
+    """So many pixels change; what cancels leaves means, and luminance in every pixel, as they were."""
+    limit = picture(power.SIDE, power.SIDE)
+    wrong = power.KINDS[kind](np.random.default_rng(9), limit, 256, 0.25)
+    changed = (wrong != limit).any(axis=-1)
+    assert changed.sum() == 256
+    relative = np.abs(wrong / limit - 1)[changed].max(axis=0)
+    np.testing.assert_allclose(relative[0], 0.25, rtol=0.05)
+    if kind == "colour":
+        np.testing.assert_allclose(wrong @ [0.2126, 0.7152, 0.0722], limit @ [0.2126, 0.7152, 0.0722])
+        np.testing.assert_allclose(wrong.mean(axis=(0, 1)), limit.mean(axis=(0, 1)), rtol=1e-3)
+
+
+def test_the_page_of_the_power_map_has_a_place_for_each_table():
+    shares = {kind: np.full((len(power.SIZES), len(power.areas_of(kind))), 0.25) for kind in power.KINDS}
+    page = power.written(power.PAGE.read_text("utf-8"), shares, dict.fromkeys(power.NAMED, 3), 12)
+    for kind, each in shares.items():
+        head, _, *rows = re.findall(
+            r"^\|.*\|$", page.partition(f"<!-- {kind} -->")[2].partition("<!--")[0], re.MULTILINE
+        )
+        assert head.startswith(f"| {kind} of | ")
+        assert [row.split(" | ", 1)[1] for row in rows] == [" | ".join(["25"] * len(each[0])) + " |"] * len(each)
+    for name in power.NAMED:
+        assert f"| {name} | 3 of 12 |" in page
+    with pytest.raises(ValueError, match="0 places for 'mean'"):
+        power.written("", shares, {}, 12)
+
+
 def test_results_and_page(tmp_path, monkeypatch):
     """A small audit fills every row, and its page and table name each fault and what it fails by."""
-    outcomes = {
-        plant.name: faults.Judged("BIASED", ("mean",), "BIASED: by the mean.", 0.1, 0.001) for plant in PLANTS[1:]
-    }
-    outcomes[PLANTS[0].name] = faults.Judged("UNDERPOWERED", (), "UNDERPOWERED: who knows.", 0.1, 0.1)
+    outcomes = {plant.name: faults.Judged("BIASED", ("mean",), "BIASED: by the mean.", 0.1, 0.001) for plant in ALL[1:]}
+    outcomes[ALL[0].name] = faults.Judged("UNDERPOWERED", (), "UNDERPOWERED: who knows.", 0.1, 0.1)
     controls = {BACKGROUND: faults.Judged("BIASED", ("mean",), "BIASED: a control.", 0.1, 0.001)}
     monkeypatch.setattr(faults, "run", lambda plants, **_: (controls, outcomes))
-    results = command.audit(synthetic=6, rendered_each=1, detections=1, rows=())
-    assert results["planted"] == len(PLANTS)
-    assert results["caught"] == len(PLANTS) - 1
-    assert any("control two_cubes, background seen" in text for text in results["failures"])
+    few = {nulls.Null("skewed", "ours", 4, 8): nulls.Alarms(40, 1, 2)}
+    monkeypatch.setattr(nulls, "synthetic", lambda *_, **__: few)
+    results = command.audit(rendered_each=1, detections=1, rows=(), recorded=[])
+    assert results["planted"] == len(ALL)
+    assert results["caught"] == len(ALL) - 1
+    assert any("control background seen, two_cubes" in text for text in results["failures"])
+    history.record(results, tmp_path / "history.json")
+    (entry,) = history.read(tmp_path / "history.json")
+    assert entry["missed"] == [ALL[0].name]
+    assert history.fallen(entry, entry) == []
     page = command.write(tmp_path, results).read_text("utf-8")
     assert json.loads((tmp_path / "results.json").read_text("utf-8")) == results
     console = Console(width=200, record=True)
     command.show(console, results)
     table = console.export_text()
-    for plant in PLANTS:
+    for plant in ALL:
         assert plant.name in page.replace("&#39;", "'")
         assert plant.name in table
     assert "UNDERPOWERED" in page

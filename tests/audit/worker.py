@@ -1,11 +1,13 @@
 """Renders replicates in a tree of sources that is not this one: `python worker.py CASE IMAGES`, its root the path.
 
 CASE is a case as JSON, IMAGES the file for what comes out, (K, H, W, 3) float32. Nothing but `renderer` and `scenes`
-is imported: the copy that a fault is planted in holds no more.
+is imported: a fault may be planted in any of their files, and in no other is an image made.
 """
 
 import json
+import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import attrs
@@ -14,11 +16,61 @@ import numpy as np
 from termwise import renderer
 from termwise.renderer import Engine, find
 from termwise.scenes.load import load
-from termwise.scenes.model import Scene
+from termwise.scenes.model import Mesh, Object, PointLight, Scene, Sky
 
-_LOBES = {
-    "glossy": {"gloss": 0.5, "roughness": 0.6, "f0": (0.04, 0.04, 0.04)},
-    "metal": {"gloss": 0.7, "roughness": 0.5, "f0": (0.9, 0.9, 0.9)},
+_KEPT_BYTES = 1 << 26
+
+
+def _material(**fields: object) -> Callable[[Scene], Scene]:
+    """Give all surfaces the same lobe."""
+
+    def change(scene: Scene) -> Scene:
+        things = (attrs.evolve(thing, material=attrs.evolve(thing.material, **fields)) for thing in scene.objects)
+        return attrs.evolve(scene, objects=tuple(things))
+
+    return change
+
+
+def _first(change: Callable[[Object], Object]) -> Callable[[Scene], Scene]:
+    return lambda scene: attrs.evolve(scene, objects=(change(scene.objects[0]), *scene.objects[1:]))
+
+
+def _turned(thing: Object) -> Object:
+    return attrs.evolve(thing, mesh=attrs.evolve(thing.mesh, faces=np.ascontiguousarray(thing.mesh.faces[:, ::-1])))
+
+
+def _smooth(scene: Scene) -> Scene:
+    """Vertex normals on what is no plane."""
+    things = (
+        thing
+        if len(thing.mesh.faces) == 2
+        else attrs.evolve(thing, mesh=Mesh.from_arrays(thing.mesh.vertices, thing.mesh.faces, smooth=True))
+        for thing in scene.objects
+    )
+    return attrs.evolve(scene, objects=tuple(things))
+
+
+def _lamps(scene: Scene) -> Scene:
+    """A fifth light, and more, of unequal power: so many are chosen among by what they send."""
+    places = ((2.5, -2.0, 3.0, 20.0), (-1.0, -3.0, 1.5, 8.0), (0.5, 2.5, 4.0, 40.0))
+    return attrs.evolve(
+        scene, lights=(*scene.lights, *(PointLight((x, y, z), (i, i, 0.8 * i)) for x, y, z, i in places))
+    )
+
+
+_CHANGES: dict[str, Callable[[Scene], Scene]] = {
+    "glossy": _material(gloss=0.5, roughness=0.6, f0=(0.04, 0.04, 0.04)),
+    "metal": _material(gloss=0.7, roughness=0.5, f0=(0.9, 0.9, 0.9)),
+    "faint": _material(gloss=0.1, roughness=0.5, f0=(0.9, 0.6, 0.4)),
+    "turned": _first(_turned),
+    "smooth": _smooth,
+    "lamps": _lamps,
+    "plain": lambda scene: attrs.evolve(scene, sky=Sky((0.5, 0.6, 0.8))),
+    "panorama": lambda scene: attrs.evolve(scene, sky=attrs.evolve(scene.sky, projection="lat-long", radius=math.inf)),
+    "shadowed": lambda scene: attrs.evolve(scene, shadows="paper"),
+    "bright": lambda scene: attrs.evolve(scene, irradiance="E"),
+    "drawn": lambda scene: attrs.evolve(scene, draw_lights=True),
+    "sharp": lambda scene: attrs.evolve(scene, photons=attrs.evolve(scene.photons, kernel="epanechnikov")),
 }
 
 
@@ -28,10 +80,15 @@ class Case:
 
     Attributes
     ----------
-    scene : a library scene; "glossy" or "metal" before its name: all surfaces have that lobe; "turned": the first
-        object's faces look the other way.
+    scene : a library scene, before its name words of what is changed: `glossy`, `metal` and `faint` are lobes of all
+        surfaces, `turned`: the first object's faces look the other way, `smooth`: vertex normals, `lamps`: more
+        lights, `plain` and `panorama`: another sky, `shadowed` and `bright`: choices of the paper, `drawn`: lights are
+        seen, `sharp`: another kernel of photons.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
+    height : of the image; `side` without.
+    adaptive : whether a pilot decides the counts.
+    after : a variant of the term that the same engine renders first, with room for what both may share.
     """
 
     scene: str
@@ -39,36 +96,41 @@ class Case:
     variant: str
     samples: int
     side: int = 32
+    height: int | None = None
+    adaptive: bool = False
+    after: str = ""
 
     def build(self) -> Scene:
         """The scene at the case's resolution."""
-        change, _, name = self.scene.rpartition(" ")
+        *changes, name = self.scene.split()
         scene = load(name)
-        things = scene.objects
-        if change in _LOBES:
-            things = tuple(
-                attrs.evolve(thing, material=attrs.evolve(thing.material, **_LOBES[change])) for thing in things
-            )
-        elif change == "turned":
-            mesh = attrs.evolve(things[0].mesh, faces=np.ascontiguousarray(things[0].mesh.faces[:, ::-1]))
-            things = (attrs.evolve(things[0], mesh=mesh), *things[1:])
-        return attrs.evolve(
+        scene = attrs.evolve(
             scene,
-            resolution=(self.side, self.side),
-            objects=things,
+            resolution=(self.side, self.height or self.side),
             max_bounces=2,
             photons=attrs.evolve(scene.photons, count=8000, radius=0.6),
         )
+        for change in changes:
+            scene = _CHANGES[change](scene)
+        return scene
+
+    def __str__(self) -> str:
+        """As tables name it."""
+        size = f"{self.side} × {self.height}" if self.height else f"{self.side}"
+        how = [f"{size} px", *(["adaptive"] if self.adaptive else []), *([f"after {self.after}"] if self.after else [])]
+        return f"{self.term} {self.variant}, {self.scene}, {', '.join(how)}"
 
 
 def replicates(case: Case, count: int, seed: int) -> np.ndarray:
     """(count, H, W, 3) float32."""
     images = []
-    with Engine(case.build(), threads=1) as engine:
+    kept = _KEPT_BYTES if case.after else 0
+    with Engine(case.build(), threads=1, adaptive=case.adaptive, kept_bytes=kept) as engine:
         for k in range(count):
-            *_, (_, image, _) = engine.prefixes(
-                find(case.term, case.variant), samples=case.samples, seed=seed, replicate=k
-            )
+            for variant in (case.after, case.variant) if case.after else (case.variant,):
+                *_, (_, image, _) = engine.prefixes(
+                    find(case.term, variant), samples=case.samples, seed=seed, replicate=k
+                )
             images.append(image)
     return np.array(images, np.float32)
 

@@ -3,7 +3,7 @@
 import pickle
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import attrs
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 from termwise.renderer import DEFAULTS, Engine, render
 from termwise.renderer.scratch import COUNTERS
-from termwise.renderer.terms import VARIANTS, estimator
+from termwise.renderer.terms import VARIANTS, Chain, estimator
 from termwise.reports.jobs import cells
 from termwise.scenes.model import Photons, PointLight, Scene
 from tests.scenes import small
@@ -202,6 +202,7 @@ def test_the_name_follows_what_decides_the_bits(scene: Scene):
         _key(attrs.evolve(scene, toggles=attrs.evolve(scene.toggles, ambient_occlusion=False))),
     ]
     assert len({_key(scene), *changed}) == 1 + len(changed)
+    assert len({_key(scene, "specular", "vndf", chain=chain) for chain in get_args(Chain)}) == 3
 
 
 def test_the_name_ignores_what_does_not(scene: Scene):

@@ -150,6 +150,8 @@ def test_the_camera_goes_round_its_target():
     assert turned.position[2] == pytest.approx(camera.position[2], abs=1e-5)
     before, after = (np.subtract(each.position, each.target)[:2] for each in (camera, turned))
     assert before @ after == pytest.approx(0.0, abs=1e-4)
+    # What is seen follows the pointer to the right: the camera goes to its left.
+    assert np.subtract(orbit(camera, 5.0, 0.0).position, camera.position) @ camera.frame()[0] < 0.0
     top = orbit(camera, 0.0, 500.0)
     assert top.position[2] - top.target[2] == pytest.approx(distance * math.sin(math.radians(89.0)), rel=1e-4)
     np.testing.assert_allclose(orbit(orbit(camera, 20.0, 5.0), -20.0, -5.0).position, camera.position, atol=1e-4)
