@@ -197,6 +197,12 @@ def import_mitsuba(requested: str | None = None) -> Any:
     return importlib.import_module("mitsuba")
 
 
+def limit_threads(count: int) -> None:
+    """Let Dr.Jit use so many threads in this process; its results do not depend on them."""
+    import_mitsuba()
+    importlib.import_module("drjit").set_thread_count(count)
+
+
 def active() -> Backend:
     """Return the backend of this process, started if it was not."""
     import_mitsuba()

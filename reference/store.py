@@ -137,15 +137,37 @@ def render_missing(
 ) -> bool:
     """Render and keep replicate `number`, all terms that its render gives, unless it is there; whether it was not."""
     served = reference.shared(scene, limit)
-    keys: dict[Term, str] = {
-        term: key(scene, attrs.evolve(served, term=term), spp=spp, seed=seed, by_second=by_second)
-        for term in reference.parts(served)
-    }
-    paths: dict[Term, Path] = {term: _path(folder, name, number) for term, name in keys.items()}
+    paths = _paths(scene, served, spp=spp, seed=seed, number=number, folder=folder, by_second=by_second)
     if _read(paths[limit.term], scene.resolution) is not None:
         return False
     _render(scene, served, spp, seed, number, paths, by_second)
     return True
+
+
+def files(
+    scene: Scene, limit: Limit, *, spp: int, seed: int, number: int, folder: Path, by_second: bool = False
+) -> tuple[Path, ...]:
+    """All that `render_missing` keeps of a replicate: of each term the record, then the image; the limit's last."""
+    served = reference.shared(scene, limit)
+    paths = _paths(scene, served, spp=spp, seed=seed, number=number, folder=folder, by_second=by_second)
+    ordered = sorted(paths, key=lambda term: term == limit.term)
+    return tuple(file for term in ordered for file in (paths[term].with_suffix(".json"), paths[term]))
+
+
+def whole(path: Path, resolution: tuple[int, int]) -> bool:
+    """Whether a replicate's image is kept there."""
+    return _read(path, resolution) is not None
+
+
+def _paths(
+    scene: Scene, served: Limit, *, spp: int, seed: int, number: int, folder: Path, by_second: bool
+) -> dict[Term, Path]:
+    return {
+        term: _path(
+            folder, key(scene, attrs.evolve(served, term=term), spp=spp, seed=seed, by_second=by_second), number
+        )
+        for term in reference.parts(served)
+    }
 
 
 def kept(

@@ -253,6 +253,8 @@ class _Run:
             "machine": platform.machine(),
             "system": f"{platform.system()} {platform.release()}",
             "cores": os.cpu_count(),
+            # Empty where this process did all.
+            "hosts": dict(self.desk.hosts),
             "command": shlex.join(["termwise", *sys.argv[1:]]),
             "arguments": arguments or {"study": name, "scenes": {}},
             "alpha": verdict.LEVEL,

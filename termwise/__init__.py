@@ -30,7 +30,14 @@ _HOMES = {
 }
 
 
-_EXTRAS = {"numba": "render", "nicegui": "render", "mitsuba": "reference", "drjit": "reference"}
+_EXTRAS = {
+    "numba": "render",
+    "nicegui": "render",
+    "mitsuba": "reference",
+    "drjit": "reference",
+    "distributed": "cluster",
+    "dask": "cluster",
+}
 
 
 def lacking(error: ModuleNotFoundError) -> str:

@@ -1,8 +1,10 @@
 """Studies and what is made of them: compare, diff and figure."""
 
+import contextlib
 import json
 import re
 import runpy
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,6 +32,8 @@ def compare(
     budget: Annotated[float | None, Parameter(converter=_duration, n_tokens=1)] = None,
     seed: MaybeInteger = None,
     estimators: Path | None = None,
+    workers: MaybeInteger = None,
+    scheduler: str | None = None,
     out: Path = Path("out"),
     backend: Backend = None,
     quiet: Quiet = False,
@@ -51,6 +55,10 @@ def compare(
         Instead of the study's: the whole run again with other random numbers.
     estimators
         A Python file that calls `termwise.register`: what it registers is measured too.
+    workers
+        Processes of this machine that render, by dask.distributed; without it threads of this process do.
+    scheduler
+        Instead, the address of a dask scheduler, as tcp://host:8786: its workers render.
     out
         The report goes to OUT/compare, or to the folder that the study names.
     single_file
@@ -82,14 +90,16 @@ def compare(
     if results is None:
         with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
             named = {scene.name: given for scene, given in zip(prepared, scenes or chosen.scenes, strict=True)}
-            results = run.measure(
-                chosen,
-                prepared,
-                folder,
-                name=Path(study).stem,
-                report=stage("Measuring"),
-                arguments={"study": study, "scenes": named},
-            )
+            with _executor(workers, scheduler, estimators) as executor:
+                results = run.measure(
+                    chosen,
+                    prepared,
+                    folder,
+                    name=Path(study).stem,
+                    report=stage("Measuring"),
+                    arguments={"study": study, "scenes": named},
+                    executor=executor,
+                )
             page.write(folder, report=stage("Pages"))
     elif not quiet:
         terminal.messages.print("Nothing has changed since the last run: no cell was computed.")
@@ -108,6 +118,21 @@ def compare(
     if results["failed"]:
         return 2
     return 1 if run.failures(results) else 0
+
+
+@contextlib.contextmanager
+def _executor(workers: int | None, scheduler: str | None, estimators: Path | None) -> Iterator[Any]:
+    """A cluster where one is asked for, which alone loads dask; else None: this process."""
+    if workers is None and scheduler is None:
+        yield None
+        return
+    from termwise.reports.jobs.cluster import connected
+
+    def say(line: str) -> None:
+        terminal.messages.print(f"termwise: {line}", highlight=False, markup=False)
+
+    with connected(say, workers=workers, scheduler=scheduler, estimators=estimators) as executor:
+        yield executor
 
 
 def run_file(path: Path) -> None:

@@ -9,14 +9,16 @@ import hashlib
 import importlib.metadata
 import zipfile
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Protocol
 
 import attrs
 import numpy as np
 
 from termwise.renderer.engine import Engine
 from termwise.renderer.scratch import COUNTERS
-from termwise.renderer.terms import VARIANTS, Chain, Variant
+from termwise.renderer.terms import VARIANTS, Chain, Variant, find
 from termwise.scenes import terms
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
@@ -28,6 +30,27 @@ def content(scene: Scene, variant: Variant, *, chain: Chain) -> str:
     """sha256 of what a term's image depends on in a scene: where it is equal, so is every byte of the image."""
     without = terms.PHOTONS if variant.photons(scene, chain) is None else ()
     return terms.content(scene, variant.term, without=without)
+
+
+class Seat(Protocol):
+    """Where a job is done: a process with a cache, and a scene that is ready.
+
+    Attributes
+    ----------
+    cache : the folder that it keeps replicates in.
+    threads : that a job may use; None: one a core.
+    """
+
+    cache: Path
+    threads: int | None
+
+    def ready(self, scene: Scene) -> Engine:
+        """The engine of a scene, that of the job before if it had the same."""
+        ...
+
+    def compiling(self, kernels: tuple[str, ...]) -> AbstractContextManager[object]:
+        """Around work that may compile these kernels."""
+        ...
 
 
 @attrs.frozen(eq=False)
@@ -56,9 +79,36 @@ class Replicate:
         """As progress names it."""
         return f"{self.scene.name}: {self.term} {self.variant}"
 
+    @property
+    def name(self) -> tuple[object, ...]:
+        """Equal for jobs that make the same file."""
+        return self.key, self.number
+
     def path(self, folder: Path) -> Path:
-        """Its file in the folder of the cache."""
+        """Its file in the folder of cells."""
         return _path(folder, self.key, self.number)
+
+    def files(self, cache: Path) -> tuple[Path, ...]:
+        """What it makes in a cache, the last of them last."""
+        return (self.path(cache / "cells"),)
+
+    def kept(self, cache: Path) -> bool:
+        """Whether a cache has it."""
+        return _kept(self, cache / "cells")
+
+    def here(self) -> "Replicate":
+        """The job as this process would name it: another key where sources, versions or an estimator differ."""
+        variant = find(self.term, self.variant)
+        name = key(self.scene, variant, samples=self.counts[-1], seed=self.seed, chain=self.chain)
+        return attrs.evolve(self, key=name)
+
+    def take(self, seat: "Seat") -> tuple[bool, float]:
+        """Have it made, unless the cache has it; whether it was, and the seconds that compiling took."""
+        engine = seat.ready(self.scene)
+        compiled = engine.compile_seconds
+        with seat.compiling(engine.kernels_of(find(self.term, self.variant), chain=self.chain)):
+            made = take(engine, self, seat.cache / "cells")
+        return made, engine.compile_seconds - compiled
 
 
 @attrs.frozen(eq=False)
@@ -119,9 +169,7 @@ def key(
 
 def take(engine: Engine, job: Replicate, folder: Path) -> bool:
     """Compute a replicate and keep it in `folder`, unless it is there; whether it was not."""
-    width, height = job.scene.resolution
-    path = job.path(folder)
-    if _read(path, (len(job.counts), height, width, 3)) is not None:
+    if _kept(job, folder):
         return False
     variant = VARIANTS[job.term][job.variant]
     done = np.array(list(engine.counts.values()))
@@ -137,7 +185,7 @@ def take(engine: Engine, job: Replicate, folder: Path) -> bool:
         "counts": np.array(list(engine.counts.values())) - done,
         "kernels": np.array(engine.kernels_of(variant, chain=job.chain), np.str_),
     }
-    write_atomically(path, lambda temporary: np.savez(temporary, **arrays))
+    write_atomically(job.path(folder), lambda temporary: np.savez(temporary, **arrays))
     return True
 
 
@@ -169,6 +217,11 @@ def read(jobs: Sequence[Replicate], own: Limit, folder: Path, *, compile_seconds
         compile_seconds,
         first.key,
     )
+
+
+def _kept(job: Replicate, folder: Path) -> bool:
+    width, height = job.scene.resolution
+    return _read(job.path(folder), (len(job.counts), height, width, 3)) is not None
 
 
 def _path(folder: Path, name: str, number: int) -> Path:

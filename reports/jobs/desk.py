@@ -1,6 +1,7 @@
 """The desk of a run: it lists jobs, has them done, and reads what they made; what they took is in its ledger."""
 
 import uuid
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -65,6 +66,7 @@ class Desk:
     ----------
     ledger : the seconds of what judged rows are made of.
     failed : of each scene that is forgiven, why a job of it failed.
+    hosts : where jobs are done elsewhere, how many each host has made.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class Desk:
     ) -> None:
         self.ledger = Ledger()
         self.failed: dict[str, Exception] = {}
+        self.hosts: Counter[str] = Counter()
         self._study, self._cache = study, cache
         self._executor = executor or InThisProcess()
         self._report, self._done, self._steps = report, 0, 0
@@ -159,7 +162,7 @@ class Desk:
         Exception : That of a job of any other scene.
         ValueError : an estimator that has to be sent to another process and cannot; the message names it.
         """
-        unlike = {_name(job): job for job in jobs}
+        unlike = {job.name: job for job in jobs}
         if self._executor.elsewhere:
             self._send(unlike.values())
         needs = forgiven or {}
@@ -172,6 +175,8 @@ class Desk:
         for outcome in self._executor.run(list(unlike.values()), self._cache, dropped):
             job = outcome.job
             self._done += 1
+            if outcome.host:
+                self.hosts[outcome.host] += outcome.made
             if outcome.error is not None:
                 if job.scene.name not in needs:
                     raise outcome.error
@@ -226,13 +231,3 @@ class Desk:
         for item, each in seconds.items():
             self.ledger.book(item, each)
         return {item: len(each) for item, each in seconds.items()}
-
-
-def _name(job: Job) -> tuple[object, ...]:
-    """Equal for jobs that make the same file."""
-    if isinstance(job, Replicate):
-        return job.key, job.number
-    if isinstance(job, GeometryAudit):
-        return id(job.scene), job.seed
-    # Of one scene by its object: its content decides the file's name, which costs more to tell.
-    return id(job.scene), job.limit, job.spp, job.number, job.by_second

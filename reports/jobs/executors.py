@@ -1,6 +1,7 @@
 """What does jobs: it takes them in any order, puts what they make into the cache, and says of each how it ended."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
@@ -8,7 +9,6 @@ from typing import Protocol, Self
 import attrs
 
 from termwise.renderer.engine import Engine
-from termwise.reports.jobs import cells, geometry, references
 from termwise.reports.jobs.cells import Replicate
 from termwise.reports.jobs.geometry import GeometryAudit
 from termwise.reports.jobs.references import ReferenceReplicate
@@ -26,12 +26,14 @@ class Outcome:
     made : whether it was computed; else the cache had it.
     compile_seconds : spent compiling or loading kernels for it.
     error : why there is no replicate, or None.
+    host : who did it; "" is this process.
     """
 
     job: Job
     made: bool = False
     compile_seconds: float = 0.0
     error: Exception | None = None
+    host: str = ""
 
 
 class Executor(Protocol):
@@ -66,8 +68,8 @@ class InThisProcess:
 class Worker:
     """A process that does jobs, and what it keeps between them: the last scene made ready."""
 
-    def __init__(self, cache: Path) -> None:
-        self._cache = cache
+    def __init__(self, cache: Path, threads: int | None = None) -> None:
+        self.cache, self.threads = cache, threads
         self._engine: Engine | None = None
         self._digest = ""
 
@@ -86,11 +88,16 @@ class Worker:
             self._engine.__exit__()
         self._engine = None
 
-    def _ready(self, scene: Scene) -> Engine:
+    def ready(self, scene: Scene) -> Engine:
+        """The engine of a scene, that of the job before if it had the same."""
         if self._engine is None or (scene is not self._engine.scene and scene.digest(without=()) != self._digest):
             self._close()
-            self._engine, self._digest = Engine(scene), scene.digest(without=())
+            self._engine, self._digest = Engine(scene, threads=self.threads), scene.digest(without=())
         return self._engine
+
+    def compiling(self, kernels: tuple[str, ...]) -> AbstractContextManager[object]:
+        """Around work that may compile kernels: nobody else here does."""
+        return nullcontext()
 
     def take(self, job: Job) -> Outcome:
         """Do a job.
@@ -100,14 +107,7 @@ class Worker:
         OSError : the cache cannot be written: no other job could do better.
         """
         try:
-            if isinstance(job, ReferenceReplicate):
-                return Outcome(job, references.take(job, self._cache / "reference"))
-            if isinstance(job, GeometryAudit):
-                return Outcome(job, geometry.take(job, self._cache / "geometry"))
-            engine = self._ready(job.scene)
-            compiled = engine.compile_seconds
-            made = cells.take(engine, job, self._cache / "cells")
-            return Outcome(job, made, engine.compile_seconds - compiled)
+            return Outcome(job, *job.take(self))
         except OSError:
             raise
         except Exception as error:  # a scene's own fault, told with its name

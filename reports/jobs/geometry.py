@@ -8,6 +8,7 @@ from pathlib import Path
 import attrs
 
 from termwise.reference import backend
+from termwise.reports.jobs.cells import Seat
 from termwise.reports.study import geometry_audit
 from termwise.reports.study.geometry_audit import Finding
 from termwise.scenes import reads
@@ -29,6 +30,29 @@ class GeometryAudit:
     def what(self) -> str:
         """As progress names it."""
         return f"{self.scene.name}: geometry"
+
+    @property
+    def name(self) -> tuple[object, ...]:
+        """Equal for jobs that make the same file, as far as that is told cheaply."""
+        return id(self.scene), self.seed
+
+    def files(self, cache: Path) -> tuple[Path, ...]:
+        """What it makes in a cache."""
+        return (self.path(cache / "geometry"),)
+
+    def kept(self, cache: Path) -> bool:
+        """Whether a cache has it."""
+        return _read(self.path(cache / "geometry")) is not None
+
+    def here(self) -> "GeometryAudit":
+        """The job as this process would name it: its file's name says what decides it."""
+        return self
+
+    def take(self, seat: Seat) -> tuple[bool, float]:
+        """Have it made, unless the cache has it; whether it was; it compiles nothing of ours."""
+        if seat.threads is not None:
+            backend.limit_threads(seat.threads)
+        return take(self, seat.cache / "geometry"), 0.0
 
     def path(self, folder: Path) -> Path:
         """Its file in the folder of the cache."""

@@ -5,7 +5,8 @@ from pathlib import Path
 import attrs
 
 from termwise import reference
-from termwise.reference import store
+from termwise.reference import backend, store
+from termwise.reports.jobs.cells import Seat
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 
@@ -34,6 +35,41 @@ class ReferenceReplicate:
         """As progress names it."""
         integrator = "second integrator of" if self.by_second else "reference"
         return f"{self.scene.name}: {integrator} {self.limit.term}"
+
+    @property
+    def name(self) -> tuple[object, ...]:
+        """Equal for jobs that make the same file.
+
+        Of one scene by its object: its content decides the file's name, which costs more to tell.
+        """
+        return id(self.scene), self.limit, self.spp, self.number, self.by_second
+
+    def files(self, cache: Path) -> tuple[Path, ...]:
+        """What it makes in a cache, the last of them last."""
+        folder = cache / "reference"
+        return store.files(
+            self.scene,
+            self.limit,
+            spp=self.spp,
+            seed=self.seed,
+            number=self.number,
+            folder=folder,
+            by_second=self.by_second,
+        )
+
+    def kept(self, cache: Path) -> bool:
+        """Whether a cache has it."""
+        return store.whole(self.files(cache)[-1], self.scene.resolution)
+
+    def here(self) -> "ReferenceReplicate":
+        """The job as this process would name it: its files' names say what decides its bits."""
+        return self
+
+    def take(self, seat: Seat) -> tuple[bool, float]:
+        """Have it rendered, unless the cache has it; whether it was; compilation stands in no row."""
+        if seat.threads is not None:
+            backend.limit_threads(seat.threads)
+        return take(self, seat.cache / "reference"), 0.0
 
 
 def reference_jobs(

@@ -1,0 +1,427 @@
+"""Jobs on a dask.distributed cluster: job -> a worker's cache -> the client's, by the names that both give its files.
+
+A worker looks into its cache, renders what is not there, keeps it, and says who did what in how many seconds; bytes
+travel only where this machine does not see the worker's cache, which a probe file tells. Before a job is done the
+worker names its files itself: other sources, versions, estimators or another Mitsuba give other names, and the worker
+is refused. Scheduling, heartbeats and repetition are those of dask.distributed.
+"""
+
+import asyncio
+import contextlib
+import fcntl
+import functools
+import hashlib
+import importlib.metadata
+import logging
+import os
+import pickle
+import platform
+import runpy
+import threading
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import attrs
+import distributed
+from dask import config
+from distributed import Client, Future, LocalCluster
+from distributed.client import FutureCancelledError
+from llvmlite.binding import get_host_cpu_name
+
+from termwise.reference import backend
+from termwise.renderer.fingerprint import Unknown
+from termwise.reports.jobs.executors import Job, Outcome, Worker
+from termwise.reports.machine import versions
+from termwise.scenes.model import Scene
+from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
+
+CONNECT_SECONDS = 10
+"""Within which a scheduler answers."""
+ATTEMPTS = 10
+"""Workers that a job may lose before it is given up."""
+_AHEAD = 8
+"""Jobs that are sent for each thread before one has ended: enough to keep workers busy, few enough to forget."""
+_VERSION = importlib.metadata.version("distributed")
+_RETRIES = 2
+"""Of a job whose worker cannot write: another may have room."""
+_SETTINGS = {"distributed.scheduler.allowed-failures": ATTEMPTS, "distributed.scheduler.worker-ttl": "60 s"}
+
+
+class ClusterError(ValueError):
+    """The cluster cannot do the jobs; the message says why, in one line."""
+
+
+@attrs.frozen
+class Machine:
+    """What decides the bits of a replicate beside its job; workers are like the client in all of it.
+
+    Attributes
+    ----------
+    processor : as LLVM names it, whose instructions compiled code has.
+    backend : Mitsuba's variant.
+    sources : sha256 of all that renders.
+    versions : of everything that makes numbers.
+    """
+
+    processor: str
+    backend: str
+    sources: str
+    versions: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def here(cls) -> "Machine":
+        """That of this process."""
+        return cls(
+            f"{platform.machine()} {get_host_cpu_name()}",
+            backend.choose().variant,
+            sources_digest(*(ROOT / name for name in ("renderer", "reference", "scenes"))),
+            (*versions().items(), ("distributed", _VERSION)),
+        )
+
+    def unlike(self, other: "Machine") -> str:
+        """What differs in the other, and what this one has; empty if nothing does."""
+        found = [
+            f"{name} {theirs}: allowed is {ours}"
+            for name, ours, theirs in (
+                ("processor", self.processor, other.processor),
+                ("Mitsuba variant", self.backend, other.backend),
+                *((name, version, dict(other.versions).get(name, "none")) for name, version in self.versions),
+            )
+            if ours != theirs
+        ]
+        if self.sources != other.sources:
+            found.append("other sources of termwise: allowed are those of the client")
+        return ", ".join(found)
+
+
+@attrs.frozen
+class Terms:
+    """What a worker has to know for all jobs of a client.
+
+    Attributes
+    ----------
+    cache, probe : the client's folder, and the name of a file in it.
+    machine : what the worker has to be like.
+    estimators : name and source of a file that registers some, or None.
+    """
+
+    cache: str
+    probe: str
+    machine: Machine
+    estimators: tuple[str, str] | None
+
+
+@attrs.frozen
+class Done:
+    """What a worker answers.
+
+    Attributes
+    ----------
+    host, worker : its name and address.
+    made : whether it was rendered.
+    compile_seconds : spent on kernels.
+    error : why there is nothing, or None.
+    unlike : why the worker may not do the job, or "".
+    files : content by place in `Job.files`, where the client does not see the cache.
+    """
+
+    host: str
+    worker: str
+    made: bool = False
+    compile_seconds: float = 0.0
+    error: Exception | None = None
+    unlike: str = ""
+    files: tuple[bytes, ...] = ()
+
+
+# A worker.
+
+
+class _Seat(Worker):
+    """The process of a worker: kernels that it has not compiled yet are compiled by one process of a node at a time."""
+
+    def __init__(self, cache: Path, threads: int) -> None:
+        super().__init__(cache, threads)
+        self._compiled: set[str] = set()
+
+    @contextlib.contextmanager
+    def compiling(self, kernels: tuple[str, ...]) -> Iterator[None]:
+        """Wait for whoever compiles one of them, who leaves it in Numba's cache."""
+        with contextlib.ExitStack() as held:
+            for name in sorted(set(kernels) - self._compiled):
+                lock = cache_folder() / "numba" / f"{name}.lock"
+                lock.parent.mkdir(parents=True, exist_ok=True)
+                fcntl.flock(held.enter_context(lock.open("w")), fcntl.LOCK_EX)
+            yield
+        self._compiled |= set(kernels)
+
+
+# Numba's kernels and Mitsuba take all threads of a worker: one job at a time.
+_turn = threading.Lock()
+
+
+@functools.cache
+def _seat(cache: Path, threads: int) -> _Seat:
+    return _Seat(cache, threads)
+
+
+@functools.cache
+def _unlike(terms: Terms) -> str:
+    """What differs from the client's machine; estimators of a file are registered here."""
+    if terms.estimators is not None:
+        name, source = terms.estimators
+        path = cache_folder() / "estimators" / hashlib.sha256(source.encode()).hexdigest()[:16] / name
+        write_atomically(path, lambda temporary: temporary.write_text(source, "utf-8"))
+        runpy.run_path(str(path), run_name=path.stem)
+    return terms.machine.unlike(Machine.here())
+
+
+def _do(make: Callable[..., Job], scene: Scene, names: tuple[str, ...], terms: Terms) -> Done:
+    """Do a job on a worker."""
+    worker = distributed.get_worker()
+    done = functools.partial(Done, platform.node(), worker.address)
+    with _turn:
+        try:
+            if why := _unlike(terms):
+                return done(unlike=why)
+            shared = (Path(terms.cache) / terms.probe).is_file()
+            seat = _seat(Path(terms.cache) if shared else cache_folder(), worker.state.nthreads)
+            job = make(scene=scene)
+            with contextlib.suppress(Unknown):  # it is the same as far as its file is
+                if _names(job.here(), seat.cache) != names:
+                    return done(
+                        unlike=f"{job.what}: another estimator, or another version of it: allowed is the client's"
+                    )
+            outcome = seat.take(job)
+            unseen = () if shared or outcome.error else tuple(path.read_bytes() for path in job.files(seat.cache))
+        except OSError as error:
+            raise OSError(f"{worker.address}: {error}") from None
+    return done(outcome.made, outcome.compile_seconds, _told(outcome.error), files=unseen)
+
+
+def _told(error: Exception | None) -> Exception | None:
+    """An error that can be sent."""
+    try:
+        return pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever an object's own methods do
+        return RuntimeError(f"{type(error).__name__}: {error}")
+
+
+def _names(job: Job, cache: Path) -> tuple[str, ...]:
+    return tuple(path.relative_to(cache).as_posix() for path in job.files(cache))
+
+
+# The client.
+
+
+@attrs.frozen
+class Cluster:
+    """Has jobs done by a cluster.
+
+    Attributes
+    ----------
+    client : of dask.distributed.
+    estimators : a file that registers some, which workers run too.
+    say : called with a line where a worker is refused.
+    """
+
+    client: Client
+    estimators: Path | None = None
+    say: Callable[[str], object] = lambda line: None
+    elsewhere = False  # workers register estimators by the file, and name them before they do a job
+
+    def run(self, jobs: Sequence[Job], cache: Path, dropped: Callable[[Job], bool]) -> Iterator[Outcome]:
+        """Yield outcomes as workers end jobs; a job whose worker is lost is done again by another.
+
+        Raises
+        ------
+        ClusterError : no worker is like this machine, the scheduler is gone, or a job has cost too many workers.
+        OSError : the cache cannot be written.
+        """
+        with _probe(cache) as probe:
+            estimators = None
+            if self.estimators is not None:
+                estimators = self.estimators.name, self.estimators.read_text("utf-8")
+            yield from _Run(self, cache, Terms(str(cache), probe, Machine.here(), estimators)).outcomes(jobs, dropped)
+
+
+@contextlib.contextmanager
+def _probe(cache: Path) -> Iterator[str]:
+    """A file whose name nobody else has: who finds it sees this cache."""
+    path = cache / "probes" / f"client-{uuid.uuid4().hex}"
+    write_atomically(path, lambda temporary: temporary.touch())
+    try:
+        yield path.relative_to(cache).as_posix()
+    finally:
+        path.unlink(missing_ok=True)
+
+
+class _Run:
+    """Jobs under way."""
+
+    def __init__(self, cluster: Cluster, cache: Path, terms: Terms) -> None:
+        self.cluster, self.cache, self.terms = cluster, cache, terms
+        self.client = cluster.client
+        self.scenes: dict[int, tuple[Scene, Future]] = {}
+        self.waiting: dict[Future, _Sent] = {}
+        self.refused: set[str] = set()
+
+    def outcomes(self, jobs: Sequence[Job], dropped: Callable[[Job], bool]) -> Iterator[Outcome]:
+        """Keep workers supplied, and forget each job as it ends."""
+        ended: Any = distributed.as_completed(loop=self.client.loop)
+        coming = iter(jobs)
+        try:
+            while True:
+                most = _AHEAD * max(2, sum(_threads(self.client).values()))
+                while len(self.waiting) < most and (job := next(coming, None)) is not None:
+                    if dropped(job):
+                        continue
+                    if job.kept(self.cache):  # costs no message
+                        yield Outcome(job)
+                    else:
+                        ended.add(self._send(_Sent(job, _names(job, self.cache), ATTEMPTS)))
+                if not self.waiting:
+                    return
+                future = next(ended)
+                sent = self.waiting.pop(future)
+                outcome = self._outcome(future, sent)
+                future.release()
+                if outcome is not None:
+                    yield outcome
+                elif sent.attempts == 1:
+                    raise ClusterError(f"{sent.job.what}: {ATTEMPTS} workers were lost or refused with it")
+                else:
+                    ended.add(self._send(attrs.evolve(sent, attempts=sent.attempts - 1)))
+        except (OSError, FutureCancelledError, asyncio.CancelledError) as error:
+            if self.client.status == "running" and isinstance(error, OSError):
+                raise
+            address = _address(self.client)
+            raise ClusterError(f"{address}: the scheduler is gone; the same command goes on from the cache") from None
+        finally:
+            with contextlib.suppress(Exception):  # the scheduler may be gone
+                self.client.cancel(list(self.waiting), force=True)
+
+    def _send(self, sent: "_Sent") -> Future:
+        job = sent.job
+        if id(job.scene) not in self.scenes:
+            # A task and not scattered data: where its worker is lost it is made again.
+            payload = pickle.dumps(job.scene)
+            future = self.client.submit(pickle.loads, payload, key=f"scene-{uuid.uuid4().hex}", pure=False)
+            self.scenes[id(job.scene)] = job.scene, future
+        allowed = None
+        if self.refused and not (allowed := sorted(set(_threads(self.client)) - self.refused)):
+            raise ClusterError(f"{_address(self.client)}: no worker there is like this machine")
+        fields = {field.name: getattr(job, field.name) for field in attrs.fields(type(job)) if field.name != "scene"}
+        future = self.client.submit(
+            _do,
+            functools.partial(type(job), **fields),
+            self.scenes[id(job.scene)][1],
+            sent.names,
+            self.terms,
+            key=f"{sent.names[-1]}-{uuid.uuid4().hex[:8]}",
+            pure=False,
+            retries=_RETRIES,
+            workers=allowed,
+        )
+        self.waiting[future] = sent
+        return future
+
+    def _outcome(self, future: Future, sent: "_Sent") -> Outcome | None:
+        """What came of a job; None: another worker shall try."""
+        try:
+            done: Done = future.result()
+        except distributed.KilledWorker:
+            return None
+        if done.unlike:
+            self.refused.add(done.worker)
+            self.cluster.say(f"{done.worker} is refused: {done.unlike}")
+            return None
+        for name, content in zip(sent.names, done.files, strict=False):
+            path = self.cache / name
+            write_atomically(path, lambda temporary, content=content: temporary.write_bytes(content))
+        return Outcome(sent.job, done.made, done.compile_seconds, done.error, done.host)
+
+
+@attrs.frozen
+class _Sent:
+    """A job under way: the names of its files, and how many more workers it may cost."""
+
+    job: Job
+    names: tuple[str, ...]
+    attempts: int
+
+
+def _threads(client: Client) -> dict[str, int]:
+    """Threads of each worker, by its address."""
+    return cast(Any, client.nthreads())  # typed as what an asynchronous client returns
+
+
+def _address(client: Client) -> str:
+    return str(client.scheduler.address if client.scheduler else "the cluster")
+
+
+@contextlib.contextmanager
+def connected(
+    say: Callable[[str], object],
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    estimators: Path | None = None,
+) -> Iterator[Cluster]:
+    """A cluster: `workers` processes of this machine, or whatever a scheduler has.
+
+    Parameters
+    ----------
+    say : called with lines: where the dashboard is, who is refused.
+    workers : at least 1; they share the cores.
+    scheduler : its address, as tcp://host:8786.
+    estimators : a file that registers some, which workers run too.
+
+    Raises
+    ------
+    ValueError : neither or both are given, `workers` is below 1.
+    ClusterError : nothing answers at the address, it has no workers, or its dask is another.
+    """
+    if (workers is None) == (scheduler is None):
+        raise ValueError("workers, scheduler: allowed is one of them")
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers = {workers}: allowed is at least 1")
+    with contextlib.ExitStack() as stack:
+        # A worker that is killed takes no blame to its job; one that is silent so long is lost.
+        stack.enter_context(config.set(_SETTINGS))
+        if workers is not None:
+            share = max(1, (os.cpu_count() or 1) // workers)
+            where: Any = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=share,
+                    processes=True,
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+        else:
+            where = scheduler
+        try:
+            client = stack.enter_context(Client(where, timeout=CONNECT_SECONDS, set_as_default=False))
+        except (OSError, ValueError, TypeError) as error:
+            reason = " ".join(str(error).split())
+            raise ClusterError(
+                f"scheduler = {scheduler}: {reason}: allowed is the address of a dask scheduler, as tcp://host:8786"
+            ) from None
+        _check(client)
+        say(f"workers: {len(_threads(client))} at {_address(client)}, dashboard {client.dashboard_link}")
+        yield Cluster(client, estimators, say)
+
+
+def _check(client: Client) -> None:
+    """Refuse a cluster without workers, or of another dask, whose messages may mean something else."""
+    found = cast(Any, client.get_versions())["scheduler"]["packages"]["distributed"]
+    if found != _VERSION:
+        raise ClusterError(f"{_address(client)}: distributed {found}: allowed is {_VERSION}, as here")
+    if not _threads(client):
+        raise ClusterError(
+            f"{_address(client)}: has no workers: allowed is at least one (dask worker {_address(client)})"
+        )

@@ -1,0 +1,235 @@
+"""Jobs on a cluster: the same bits whoever does them, nothing lost or done twice in a row, and faults are one line.
+
+Workers are processes of this machine. A folder that they do not share is one whose probe file they do not find.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+
+from termwise.renderer.terms import find
+from termwise.reports.jobs import cells, cluster
+from termwise.reports.jobs.cluster import Cluster, ClusterError, Machine, connected
+from termwise.reports.jobs.executors import InThisProcess
+from termwise.scenes.model import Scene
+from termwise.scenes.store import cache_folder, write_atomically
+from tests.scenes import small
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="workers compile"),
+]
+
+
+@attrs.frozen(eq=False)
+class Note:
+    """A job that writes its number, and a line in a log of all that was done."""
+
+    scene: Scene
+    number: int
+    seconds: float = 0.0
+    fault: str = ""
+
+    @property
+    def what(self) -> str:
+        return f"note {self.number}"
+
+    @property
+    def name(self) -> tuple[object, ...]:
+        return (self.number,)
+
+    def files(self, cache: Path) -> tuple[Path, ...]:
+        return (cache / "notes" / f"{self.number}.txt",)
+
+    def kept(self, cache: Path) -> bool:
+        return self.files(cache)[0].is_file()
+
+    def here(self) -> "Note":
+        return attrs.evolve(self, number=-1) if self.fault == "another" else self
+
+    def take(self, seat) -> tuple[bool, float]:
+        time.sleep(self.seconds)
+        if self.fault == "error":
+            raise RuntimeError("no kernel\nfor this")
+        if self.fault == "disk":
+            raise OSError("no space left")
+        write_atomically(self.files(seat.cache)[0], lambda path: path.write_text(str(self.number)))
+        return True, 0.0
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[str]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def two(lines: list[str], tmp_path_factory) -> Iterator[Cluster]:
+    """Two workers, whose own cache lies apart but for compiled kernels."""
+    folder = tmp_path_factory.mktemp("workers")
+    (folder / "numba").symlink_to(cache_folder() / "numba")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TERMWISE_CACHE", str(folder))
+        with connected(lines.append, workers=2) as found:
+            yield found
+
+
+def never(job) -> bool:
+    return False
+
+
+def done(executor: Cluster, jobs: list, cache: Path) -> list:
+    return list(executor.run(jobs, cache, never))
+
+
+@pytest.fixture
+def _apart(monkeypatch):
+    """Workers do not find the probe file of this machine's cache."""
+    monkeypatch.setattr(cluster, "_probe", lambda cache: contextlib.nullcontext("probes/of nobody"))
+
+
+def replicates(scene: Scene) -> list[cells.Replicate]:
+    cosine = find("ambient", "cosine")
+    key = cells.key(scene, cosine, samples=2, seed=1, chain="next-event")
+    return [cells.Replicate(scene, "ambient", "cosine", (2,), 1, "next-event", key, number) for number in range(3)]
+
+
+def image(jobs: list[cells.Replicate], cache: Path) -> np.ndarray:
+    own = find("ambient", "cosine").limit(jobs[0].scene, 2)
+    return cells.read(jobs, own, cache / "cells").images
+
+
+def test_the_same_bits_as_in_one_process(two: Cluster, tmp_path: Path):
+    jobs = replicates(small("two_cubes", 8))
+    here = list(InThisProcess().run(jobs, tmp_path / "here", never))
+    there = done(two, jobs, tmp_path / "there")
+    assert {outcome.job.number for outcome in there} == {0, 1, 2}
+    assert all(outcome.made and outcome.host for outcome in there)
+    assert not any(outcome.host for outcome in here)
+    np.testing.assert_array_equal(image(jobs, tmp_path / "here"), image(jobs, tmp_path / "there"))
+    again = done(two, jobs, tmp_path / "there")
+    assert not any(outcome.made for outcome in again)
+
+
+@pytest.mark.usefixtures("_apart")
+def test_without_a_shared_folder_bytes_are_sent(two: Cluster, tmp_path: Path):
+    jobs = replicates(small("two_cubes", 8))
+    assert all(outcome.made for outcome in done(two, jobs, tmp_path / "client"))
+    assert len(list((tmp_path / "client" / "cells").rglob("*.npz"))) == len(jobs)
+    list(InThisProcess().run(jobs, tmp_path / "here", never))
+    np.testing.assert_array_equal(image(jobs, tmp_path / "here"), image(jobs, tmp_path / "client"))
+    # The workers have them: a client without them gets them unrendered.
+    assert not any(outcome.made for outcome in done(two, jobs, tmp_path / "another"))
+    np.testing.assert_array_equal(image(jobs, tmp_path / "client"), image(jobs, tmp_path / "another"))
+
+
+def test_killed_workers_lose_no_job_and_none_is_told_twice(two: Cluster, tmp_path: Path):
+    """A worker is killed after every tenth of 40 jobs."""
+    told, killed = [], 0
+    for outcome in two.run([Note(small("two_cubes", 4), number, 0.02) for number in range(40)], tmp_path, never):
+        told.append(outcome.job.number)
+        if len(told) % 10 == 0 and len(told) < 40:
+            pids = list(two.client.run(os.getpid, on_error="ignore").values())
+            os.kill(pids[0], signal.SIGKILL)
+            killed += 1
+    assert killed == 3
+    assert sorted(told) == list(range(40))
+    assert len(list((tmp_path / "notes").iterdir())) == 40
+    again = done(two, [Note(small("two_cubes", 4), number) for number in range(50)], tmp_path)
+    assert sorted(outcome.job.number for outcome in again if outcome.made) == list(range(40, 50))
+    assert len(again) == 50
+
+
+def test_an_error_is_the_job_s_own(two: Cluster, tmp_path: Path):
+    scene = small("two_cubes", 4)
+    found = done(two, [Note(scene, 0, fault="error"), Note(scene, 1)], tmp_path)
+    errors = {outcome.job.number: outcome.error for outcome in found}
+    assert "no kernel" in str(errors[0])
+    assert errors[1] is None
+
+
+def test_a_full_disk_ends_the_run(two: Cluster, tmp_path: Path):
+    with pytest.raises(OSError, match="no space left"):
+        done(two, [Note(small("two_cubes", 4), 0, fault="disk")], tmp_path)
+
+
+def test_what_is_dropped_is_not_sent(two: Cluster, tmp_path: Path):
+    jobs = [Note(small("two_cubes", 4), number) for number in range(4)]
+    assert [o.job.number for o in two.run(jobs, tmp_path, lambda job: job.number != 2)] == [2]
+
+
+def test_workers_that_are_not_like_this_machine_are_refused(
+    two: Cluster, lines: list[str], tmp_path: Path, monkeypatch
+):
+    """By what decides bits, each named, and by another estimator of the same name."""
+    here = Machine.here()
+    other = attrs.evolve(here, sources="another", processor="a processor", versions=(("numba", "0.1"),))
+    monkeypatch.setattr(Machine, "here", classmethod(lambda cls: other))
+    with pytest.raises(ClusterError, match="no worker there is like this machine"):
+        done(two, [Note(small("two_cubes", 4), 0)], tmp_path)
+    refused = [line for line in lines if "is refused" in line]
+    assert refused
+    assert all(word in refused[0] for word in ("a processor", "numba", "0.1", "sources"))
+    monkeypatch.setattr(Machine, "here", classmethod(lambda cls: here))
+    with pytest.raises(ClusterError, match="no worker"):
+        done(two, [Note(small("two_cubes", 4), 0, fault="another")], tmp_path)
+    assert "another estimator" in lines[-1]
+
+
+def test_estimators_of_a_file_are_registered_on_workers(two: Cluster, tmp_path: Path):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import numpy as np\nimport termwise\n"
+        "def grey(scene, samples, seed):\n    return np.full((*scene.resolution[::-1], 3), 0.5)\n"
+        'termwise.register("ambient", "grey", grey, termwise.Limit("ambient"))\n'
+    )
+    from termwise.reports.cli.runs import run_file
+
+    run_file(file)
+    scene = small("two_cubes", 4)
+    key = cells.key(scene, find("ambient", "grey"), samples=1, seed=1, chain="path")
+    job = cells.Replicate(scene, "ambient", "grey", (1,), 1, "path", key, 0)
+    (outcome,) = done(attrs.evolve(two, estimators=file), [job], tmp_path)
+    assert outcome.error is None
+    assert outcome.made
+    np.testing.assert_array_equal(cells.read([job], None, tmp_path / "cells").images, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"workers": 0}, "workers = 0: allowed is at least 1"),
+        ({"workers": 1, "scheduler": "tcp://a:1"}, "allowed is one of them"),
+        ({"scheduler": "tcp://127.0.0.1:1"}, "scheduler = tcp://127.0.0.1:1: .*allowed is the address"),
+        ({"scheduler": "nonsense"}, "scheduler = nonsense: .*allowed is the address"),
+    ],
+)
+def test_what_cannot_be_connected(given: dict, words: str, monkeypatch):
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    with pytest.raises(ValueError, match=words), connected(print, **given):
+        pass
+
+
+def test_the_scheduler_s_end_is_one_line(tmp_path: Path):
+    with connected(print, workers=1) as found:
+        scheduler = found.client.cluster.scheduler
+        jobs = [Note(small("two_cubes", 4), number, 0.05) for number in range(200)]
+        outcomes = found.run(jobs, tmp_path, never)
+        next(outcomes)
+        found.client.cluster.sync(scheduler.close)
+        with pytest.raises(ClusterError, match="the scheduler is gone; the same command goes on"):
+            list(outcomes)
+
+
+def test_without_workers_dask_is_not_loaded():
+    code = "import sys, termwise.reports.run, termwise.reports.cli.runs; print('distributed' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
