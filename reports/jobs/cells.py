@@ -53,9 +53,44 @@ class Seat(Protocol):
         ...
 
 
+class Job(Protocol):
+    """Work that makes files of a cache, named by all that decides them, anywhere, in any order; it can be pickled."""
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that it concerns, by which a failure is told."""
+        ...
+
+    @property
+    def what(self) -> str:
+        """As progress names it."""
+        ...
+
+    @property
+    def name(self) -> tuple[object, ...]:
+        """Equal for jobs that make the same file, as far as that is told cheaply."""
+        ...
+
+    def files(self, cache: Path) -> tuple[Path, ...]:
+        """What it makes in a cache; where the last is whole, all are."""
+        ...
+
+    def kept(self, cache: Path) -> bool:
+        """Whether a cache has it."""
+        ...
+
+    def here(self) -> "Job":
+        """The job as this process would name it."""
+        ...
+
+    def take(self, seat: Seat) -> tuple[bool, float]:
+        """Have it made, unless the cache has it; whether it was, and the seconds that compiling took."""
+        ...
+
+
 @attrs.frozen(eq=False)
 class Replicate:
-    """One replicate of ours, as a job: all that decides its bits, and its name in the cache. It can be pickled.
+    """One replicate of ours, as a job: all that decides its bits, and its name in the cache.
 
     Attributes
     ----------

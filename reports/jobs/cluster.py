@@ -32,7 +32,8 @@ from llvmlite.binding import get_host_cpu_name
 
 from termwise.reference import backend
 from termwise.renderer.fingerprint import Unknown
-from termwise.reports.jobs.executors import Job, Outcome, Worker
+from termwise.reports.jobs.cells import Job
+from termwise.reports.jobs.executors import Outcome, Worker
 from termwise.reports.machine import versions
 from termwise.scenes.model import Scene
 from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
@@ -313,10 +314,11 @@ class _Run:
         allowed = None
         if self.refused and not (allowed := sorted(set(_threads(self.client)) - self.refused)):
             raise ClusterError(f"{_address(self.client)}: no worker there is like this machine")
-        fields = {field.name: getattr(job, field.name) for field in attrs.fields(type(job)) if field.name != "scene"}
+        kind: Any = type(job)
+        fields = {field.name: getattr(job, field.name) for field in attrs.fields(kind) if field.name != "scene"}
         future = self.client.submit(
             _do,
-            functools.partial(type(job), **fields),
+            functools.partial(kind, **fields),
             self.scenes[id(job.scene)][1],
             sent.names,
             self.terms,

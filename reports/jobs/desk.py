@@ -15,8 +15,8 @@ from termwise.renderer.plan import powers_of_two
 from termwise.renderer.terms import Chain, Variant, find
 from termwise.renderer.terms.estimator import sent
 from termwise.reports.jobs import cells, geometry
-from termwise.reports.jobs.cells import Cell, Replicate
-from termwise.reports.jobs.executors import Executor, InThisProcess, Job
+from termwise.reports.jobs.cells import Cell, Job, Replicate
+from termwise.reports.jobs.executors import Executor, InThisProcess
 from termwise.reports.jobs.geometry import GeometryAudit
 from termwise.reports.jobs.references import ReferenceReplicate, reference_jobs
 from termwise.reports.progress import Report, silent

@@ -9,12 +9,8 @@ from typing import Protocol, Self
 import attrs
 
 from termwise.renderer.engine import Engine
-from termwise.reports.jobs.cells import Replicate
-from termwise.reports.jobs.geometry import GeometryAudit
-from termwise.reports.jobs.references import ReferenceReplicate
+from termwise.reports.jobs.cells import Job
 from termwise.scenes.model import Scene
-
-Job = Replicate | ReferenceReplicate | GeometryAudit
 
 
 @attrs.frozen(eq=False)

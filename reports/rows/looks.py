@@ -12,9 +12,8 @@ import numpy as np
 from termwise.reference import backend, store
 from termwise.renderer.engine import Engine
 from termwise.renderer.terms import Variant
-from termwise.reports.jobs.cells import Cell
+from termwise.reports.jobs.cells import Cell, Job
 from termwise.reports.jobs.desk import Desk, Measured
-from termwise.reports.jobs.executors import Job
 from termwise.reports.rows import images, radii
 from termwise.reports.rows.measurement import (
     Compare,

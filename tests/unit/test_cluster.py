@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import attrs
 import numpy as np
@@ -20,6 +21,7 @@ from termwise.renderer.terms import find
 from termwise.reports.jobs import cells, cluster
 from termwise.reports.jobs.cluster import Cluster, ClusterError, Machine, connected
 from termwise.reports.jobs.executors import InThisProcess
+from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 from termwise.scenes.store import cache_folder, write_atomically
 from tests.scenes import small
@@ -86,7 +88,7 @@ def never(job) -> bool:
     return False
 
 
-def done(executor: Cluster, jobs: list, cache: Path) -> list:
+def done(executor: Cluster, jobs: list, cache: Path) -> list[Any]:
     return list(executor.run(jobs, cache, never))
 
 
@@ -134,10 +136,11 @@ def test_without_a_shared_folder_bytes_are_sent(two: Cluster, tmp_path: Path):
 def test_killed_workers_lose_no_job_and_none_is_told_twice(two: Cluster, tmp_path: Path):
     """A worker is killed after every tenth of 40 jobs."""
     told, killed = [], 0
+    outcome: Any
     for outcome in two.run([Note(small("two_cubes", 4), number, 0.02) for number in range(40)], tmp_path, never):
         told.append(outcome.job.number)
         if len(told) % 10 == 0 and len(told) < 40:
-            pids = list(two.client.run(os.getpid, on_error="ignore").values())
+            pids = list(cast(Any, two.client.run(os.getpid, on_error="ignore")).values())
             os.kill(pids[0], signal.SIGKILL)
             killed += 1
     assert killed == 3
@@ -163,7 +166,8 @@ def test_a_full_disk_ends_the_run(two: Cluster, tmp_path: Path):
 
 def test_what_is_dropped_is_not_sent(two: Cluster, tmp_path: Path):
     jobs = [Note(small("two_cubes", 4), number) for number in range(4)]
-    assert [o.job.number for o in two.run(jobs, tmp_path, lambda job: job.number != 2)] == [2]
+    outcomes: Any = two.run(jobs, tmp_path, lambda job: job.name != (2,))
+    assert [outcome.job.number for outcome in outcomes] == [2]
 
 
 def test_workers_that_are_not_like_this_machine_are_refused(
@@ -200,7 +204,7 @@ def test_estimators_of_a_file_are_registered_on_workers(two: Cluster, tmp_path: 
     (outcome,) = done(attrs.evolve(two, estimators=file), [job], tmp_path)
     assert outcome.error is None
     assert outcome.made
-    np.testing.assert_array_equal(cells.read([job], None, tmp_path / "cells").images, 0.5)
+    np.testing.assert_array_equal(cells.read([job], Limit("ambient"), tmp_path / "cells").images, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -220,11 +224,11 @@ def test_what_cannot_be_connected(given: dict, words: str, monkeypatch):
 
 def test_the_scheduler_s_end_is_one_line(tmp_path: Path):
     with connected(print, workers=1) as found:
-        scheduler = found.client.cluster.scheduler
+        local: Any = found.client.cluster
         jobs = [Note(small("two_cubes", 4), number, 0.05) for number in range(200)]
         outcomes = found.run(jobs, tmp_path, never)
         next(outcomes)
-        found.client.cluster.sync(scheduler.close)
+        local.sync(local.scheduler.close)
         with pytest.raises(ClusterError, match="the scheduler is gone; the same command goes on"):
             list(outcomes)
 
