@@ -22,7 +22,7 @@ class Sights(NamedTuple):
     position : (N, 3) float64, where a surface was met.
     object, face : (N,) indices of object and face; -1 on a miss.
     hidden : (N,) bool, whether anything lies between the surface and its target.
-    origin : (N, 3) float64, of the ray that leaves the surface.
+    origin, direction : (N, 3) float64, of the ray that leaves the surface.
     """
 
     position: np.ndarray
@@ -30,6 +30,7 @@ class Sights(NamedTuple):
     face: np.ndarray
     hidden: np.ndarray
     origin: np.ndarray
+    direction: np.ndarray
 
 
 def camera_rays(loaded: Any, film: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +60,8 @@ def sights(
     ----------
     origin, direction : (N, 3) of the rays, directions of unit length.
     target, normal : (N, 3) points, and the normals of the faces that they lie on; 0 for a point on none.
-    leaving : (N, 3) unit directions of the rays that leave the surfaces.
+    leaving : (N, 3) unit directions; the rays leave the surfaces in these or the opposite ones, to the side from which
+        they were met.
     """
     scene = loaded.scenes["direct"]
     shapes = [shape_pointer(shape) for shape in scene.shapes()]
@@ -68,15 +70,17 @@ def sights(
         si = scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(direction)))
         met = si.is_valid()
         if idle(met):
-            return si.p, mi.Int32(-1), mi.Int32(-1), mi.Int32(0), origin
+            return si.p, mi.Int32(-1), mi.Int32(-1), mi.Int32(0), origin, leaving
         thing = mi.Int32(-1)
         for number, shape in enumerate(shapes):
             thing = dr.select(met & (si.shape == shape), number, thing)
         # A variant without lanes has its images from Mitsuba's own integrators (see `film`), and so its shadow rays.
         own = rays.segment(si, target, mi.Normal3f(normal)) if dr.is_jit_v(mi.Float) else si.spawn_ray_to(target)
         hidden = rays.blocked(loaded, scene, si, own, met)
-        ray, _ = rays.leave(loaded, scene, si, rays.spawn(si, mi.Vector3f(leaving)), met)
-        return si.p, thing, dr.select(met, mi.Int32(si.prim_index), -1), dr.select(hidden, mi.Int32(1), 0), ray.o
+        away = mi.Vector3f(leaving) * dr.sign(-dr.dot(si.n, leaving) * dr.dot(si.n, direction))
+        ray, _ = rays.leave(loaded, scene, si, rays.spawn(si, away), met)
+        face = dr.select(met, mi.Int32(si.prim_index), -1)
+        return si.p, thing, face, dr.select(hidden, mi.Int32(1), 0), ray.o, ray.d
 
-    position, thing, face, hidden, left = rowwise(see, origin, direction, target, normal, leaving)
-    return Sights(position, thing.astype(np.int64), face.astype(np.int64), hidden.astype(bool), left)
+    position, thing, face, hidden, *left = rowwise(see, origin, direction, target, normal, leaving)
+    return Sights(position, thing.astype(np.int64), face.astype(np.int64), hidden.astype(bool), *left)

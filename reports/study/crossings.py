@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-BLOCK = 16  # faces
+BLOCK = 64  # faces
 PAIRS = 2**18  # of a segment and a box, or a face, tested together: bounds memory
 _BITS = 10  # of each coordinate on the curve
 
