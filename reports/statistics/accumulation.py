@@ -191,9 +191,9 @@ def measure(
     term_mean = sums.term_mean(reference_is_zero, scale)
     if not term_mean > 0:
         raise ValueError(f"reference: its mean luminance is {term_mean:.3g}; a relative bias needs one above 0")
-    regions, events = sums.region_means(), sums.events()
-    compare, tiles = sums.comparison(term_mean, events), {side: sums.tiles(side) for side in TILE_SIDES}
+    regions, tiles = sums.region_means(), {side: sums.tiles(side) for side in TILE_SIDES}
     typical = sums.typical(term_mean, reference_is_zero)
+    compare = sums.comparison(term_mean, sums.events(typical))
     pixels = Gram(sums.products[1][1:].sum(axis=0) / (3 * sums.pixels), sizes)
     return Statistics(
         replicates=count,
@@ -246,8 +246,6 @@ class _Sums:
     products : (4, n, n) float64 by the side of blocks of 1, 2 and 8 px
         Of the replicates' distances from their mean, in luminance, red, green and blue, summed over blocks; of a block
         that is cut by the border by its share.
-    cumulants : (2, 2, 4) float64
-        Of each side, the second and third over the replicates, summed over pixels.
     reference_square : (4,) sum of the squares of the reference.
     regions, areas : (regions, n, 3) and (regions,) float64
         Sums over the image and each object present, and their pixels.
@@ -269,7 +267,6 @@ class _Sums:
         self.objects, self.objects_present = objects, present[present >= 0]
         self.mask = np.ones(shape, dtype=bool) if mask is None else mask
         self.products = {side: np.zeros((4, everyone, everyone)) for side in SHAPE_LIMITS}
-        self.cumulants = np.zeros((2, 2, 4))
         self.reference_square = np.zeros(4)
         self.regions = np.zeros((1 + len(self.objects_present), everyone, 3))
         self.areas = np.zeros(1 + len(self.objects_present))
@@ -277,6 +274,7 @@ class _Sums:
         self.brightest = 0.0
         self._rows: list[np.ndarray] = []
         self._areas: list[np.ndarray] = []
+        self._cumulants: list[np.ndarray] = []
 
     def read(self, top: int, band: np.ndarray) -> None:
         """Add a band (n, rows, W, 3) of finite values that begins at row `top`."""
@@ -300,8 +298,8 @@ class _Sums:
             if side > 1:
                 blocks = block_sums(values, side) / np.sqrt(np.maximum(block_sums(inside, side), 1))
             self.products[side] += [inner_products(each) for each in blocks]
-        for sums, each in zip(self.cumulants, (values[:, : self.sizes[0]], values[:, self.sizes[0] :]), strict=True):
-            sums += cumulants(each, axis=1).sum(axis=(-2, -1))
+        of_pixels = [cumulants(each, axis=1) for each in (values[:, : self.sizes[0]], values[:, self.sizes[0] :])]
+        self._cumulants.append(block_sums(np.array(of_pixels), TILE_SIDES[0]))
         if self.objects is not None:
             self._read_objects(self.objects[top : top + band.shape[1]], band)
 
@@ -383,16 +381,27 @@ class _Sums:
         """Sums (3, n, rows, columns) and areas of cells."""
         return np.concatenate(self._rows, axis=2), np.concatenate(self._areas)
 
-    def events(self) -> np.ndarray:
-        """(4,): flux of the rare, bright events that either side shows in each quantity, see `welch`."""
-        found = [event_size(each) for each in self.cumulants]
-        tiles = [self.tiles(side) for side in (TILE_SIDES[0], TILE_SIDES[-1])]
-        fluxes = [(means * areas).reshape(*means.shape[:2], -1) for means, areas in tiles]
-        regions = quantities(np.moveaxis(self.regions, -1, 0)).transpose(2, 0, 1)
-        places = np.concatenate([fluxes[0], regions], axis=2)
+    def events(self, typical: np.ndarray) -> np.ndarray:
+        """(4,): flux of the rare, bright events that either side shows in each quantity, see `welch`.
+
+        In units of one pixel's radiance where the event was met: a place that is ten times brighter has events that are
+        ten times brighter. That radiance is 10 % of the typical one at least.
+        """
+        smallest, largest = self.tiles(TILE_SIDES[0]), self.tiles(TILE_SIDES[-1])
+        regions = _means(np.moveaxis(self.regions, 2, 0).swapaxes(1, 2), self.areas)
+        fluxes = []
+        for means, areas in (smallest, largest, regions):
+            radiance = np.maximum(means.mean(axis=0), 0.1 * np.reshape(typical, (4, *(1,) * areas.ndim)))
+            fluxes.append(((means * areas / radiance).reshape(*means.shape[:2], -1), radiance))
+        of_pixels = np.concatenate(self._cumulants, axis=-2)
+        found = []
         for side, part in enumerate((slice(self.sizes[0]), slice(self.sizes[0], None))):
-            sizes = [event_size(cumulants(each[part]).sum(axis=-1)) for each in fluxes]
-            found[side] = np.max([found[side], *sizes, largest_event(places[part])], axis=0)
+            second, third = of_pixels[side]
+            radiance = fluxes[0][1]
+            relative = np.array([second / radiance**2, third / radiance**3]).reshape(2, 4, -1)
+            found.append(event_size(relative, self.sizes[side]))
+            found += [event_size(cumulants(flux[part]), self.sizes[side]) for flux, _ in fluxes[:2]]
+            found += [largest_event(flux[part]) for flux, _ in (fluxes[0], fluxes[2])]
         return np.max(found, axis=0)
 
     def comparison(self, term_mean: float, events: np.ndarray) -> Callable[..., Comparison]:

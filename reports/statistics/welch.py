@@ -7,13 +7,13 @@ The relative bias of a place's mean is judged on the means of its replicates,
 with the degrees of freedom of Welch and Satterthwaite.
 
 Noise is skewed: replicates that lack bright samples are dark and agree with one another, and t trusts them. If the
-light of a place came in events of one flux E (radiance summed over its pixels) and its standard error is that of
+light of a place came in events of one flux E (δ summed over pixels) and its standard error is that of
 `m = (K SE / E)²` of them, a place that lacks D in the mean of K replicates has missed `λ = K D / E` events. By
 Poisson's law so few are met with probability `Q(m + 1, m + λ)`, `e^-λ` for m = 0: a mean is proven off only if that,
-too, is below the level of its test. E is the largest of what either side shows: an event that stands out of the
-replicates of any place (`largest_event`), and the flux that gives the noise of pixels and tiles the skewness that it
-has (`event_size`). Of ordinary noise E is about its standard deviation, m is large, and t asks for more. Shape needs no
-such rule: where events are met, its jackknife has them.
+too, is below the level of its test. E is the largest that either side shows anywhere, relative to the radiance there:
+an event that stands out of the replicates of any place (`largest_event`), and the flux that gives the noise of pixels
+and tiles the skewness that it has (`event_size`). Of ordinary noise E is about its standard deviation, m is large, and
+t asks for more. Shape needs no such rule: where events are met, its jackknife has them.
 """
 
 from collections.abc import Sequence
@@ -103,8 +103,8 @@ def welch(
 ) -> Comparison:
     """Compare replicate means (K, ...) and (R, ...), relative to the reference or `least` if larger.
 
-    `areas` are the pixels of each place, `brightest` is the largest pixel of any replicate, `event` is the flux E,
-    `quantum` is the relative rounding of stored values beyond float32's.
+    `areas` are the pixels of each place, `brightest` is the largest pixel of any replicate, `event` is the flux E in
+    units of a place's scale, `quantum` is the relative rounding of stored values beyond float32's.
     """
 
     def mean_and_variance(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -129,11 +129,11 @@ def welch(
     error = np.hypot(np.sqrt(both), floor) / scale
     bias = np.asarray((mean - other) / scale)
     # One exact image has missed nothing.
-    missed = np.where(bias < 0, event / len(ours), event / len(reference) if len(reference) > 1 else 0.0) / areas
-    own = np.where(bias < 0, variance, other_variance)
+    unseen = np.where(bias < 0, event / len(ours), event / len(reference) if len(reference) > 1 else 0.0) / areas
+    own = np.where(bias < 0, variance, other_variance) / scale**2
     # What is below 1e-15 of the noise is rounding, no event.
-    seen = np.divide(own, missed**2, out=np.zeros_like(own), where=missed**2 > 1e-30 * own)
-    return Comparison(mean, other, bias, error, scale, dof, noiseless, missed / scale, seen)
+    seen = np.divide(own, unseen**2, out=np.zeros_like(own), where=unseen**2 > 1e-30 * own)
+    return Comparison(mean, other, bias, error, scale, dof, noiseless, unseen, seen)
 
 
 def _borrowed(mean: np.ndarray, variance: np.ndarray, other: np.ndarray, event: np.ndarray | float) -> np.ndarray:
@@ -180,10 +180,15 @@ def cumulants(values: np.ndarray, axis: int = 0) -> np.ndarray:
     return np.array([second, square.sum(axis=axis) * (count / ((count - 1) * (count - 2)))])
 
 
-def event_size(summed: np.ndarray) -> np.ndarray:
-    """(4,): flux of events that have these cumulants (2, 4) by Poisson's law, κ_3/κ_2; 0 where they are not skewed."""
-    second, third = summed
-    return np.maximum(np.divide(third, second, out=np.zeros_like(third), where=second > 0), 0.0)
+def event_size(of_places: np.ndarray, count: int) -> np.ndarray:
+    """(4,): flux of events that have the cumulants (2, 4, places) of `count` replicates by Poisson's law, κ_3/κ_2.
+
+    Less two standard errors that it has in normal noise, so that little of it is made of few numbers; 0 at least.
+    """
+    second, third = of_places.sum(axis=2)
+    places = of_places.shape[2]
+    chance = 2 * np.sqrt(6 / (places * count) * second / places)
+    return np.maximum(np.divide(third, second, out=np.zeros_like(third), where=second > 0) - chance, 0.0)
 
 
 def median_skewness(values: np.ndarray) -> float:
