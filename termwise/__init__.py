@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from termwise.reference import render as reference
     from termwise.renderer import render
     from termwise.renderer.terms import register
-    from termwise.reports.statistics.rule import judge
+    from termwise.reports.judging.judge import judge
     from termwise.scenes.limits import Limit
     from termwise.scenes.load import load
 
@@ -23,7 +23,7 @@ __all__ = ["Limit", "judge", "load", "reference", "register", "render"]
 
 _HOMES = {
     "Limit": "scenes.limits",
-    "judge": "reports.statistics.rule",
+    "judge": "reports.judging.judge",
     "load": "scenes.load",
     "register": "renderer.terms",
     "render": "renderer",

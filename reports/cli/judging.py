@@ -1,27 +1,44 @@
 """The verdict on the images of any renderer: judge."""
 
 import json
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from termwise.reports.cli import terminal
-from termwise.reports.cli.terminal import Flag, Json
+from termwise.reports.cli.terminal import Flag, Json, MaybeInteger
+from termwise.reports.judging.gates import Require
+from termwise.reports.statistics.verdict import LEVEL, MARGIN
 
 
 def judge(
     *images: Path,
-    reference: Annotated[list[Path], Parameter(consume_multiple=True)],
+    reference: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
+    suite: Path | None = None,
+    require: Require = "unbiased",
+    margin: float = MARGIN,
+    level: float = LEVEL,
+    objects: Path | None = None,
+    mask: Path | None = None,
     reference_exact: Flag = False,
     noiseless: Flag = False,
+    allow_negative: Flag = False,
+    samples: MaybeInteger = None,
     layer: str | None = None,
     reference_layer: str | None = None,
+    hints: bool = True,
     exposure: float | None = None,
+    junit: Path | None = None,
+    markdown: Path | None = None,
     out: Path = Path("out"),
     json_: Json = False,
 ) -> int:
     """Judge any renderer's replicate images against replicates of a reference, and write a page about it.
+
+    Without --reference, two or more sets of replicates are judged each against each. Exit status: 0 passed; 1 a bias
+    is proven; 2 bad input; 3 with --require equivalent, none is proven and equivalence is not shown either.
 
     Parameters
     ----------
@@ -29,55 +46,144 @@ def judge(
         Replicates of one image (equal settings, different seeds), or folders of them: OpenEXR, NPY, NPZ, PFM, Radiance
         HDR, float TIFF. At least 4, better 16.
     reference
-        Replicates of the reference, files or folders.
+        Replicates of the reference, files or folders; with --suite the folder of the cases' folders.
+    suite
+        A folder that holds a folder of replicates for each case, as REFERENCE does: one level over all of them.
+    require
+        What passes: unbiased (no bias is proven) or equivalent (within the margin; too much noise fails).
+    margin
+        Relative bias of a mean that is equivalent to none.
+    level
+        Chance of any false BIASED, over all tests of all comparisons.
+    objects
+        Index image: each object in it is judged on its own too. With --suite also a folder of CASE.*.
+    mask
+        Image that is 0 where nothing is compared. With --suite also a folder of CASE.*.
     reference_exact
         The one reference image has no noise.
     noiseless
         The renderer has no noise: its replicates may all be the same image.
+    allow_negative
+        Negative pixels are no error: the pixel filter has negative lobes.
+    samples
+        Samples per pixel of a replicate: an open verdict then says how many it needs.
     layer
         Name of the layer to read where a file of ours has several of colour: Combined, or ViewLayer.Combined.
     reference_layer
         The same of the reference's files.
+    hints
+        After BIASED, look for simple causes: a shift, a flip, a factor.
     exposure
         Factor on the radiance in the pictures; by default the reference's mean is shown as middle grey.
+    junit
+        File for a JUnit report, a test case for each comparison.
+    markdown
+        File for a table of the verdicts.
     out
-        Page, numbers and images go to OUT/judge.
+        Pages, numbers and images go to OUT/judge.
     """
-    from termwise.reports import judging
-    from termwise.reports.pages import judge as page
-    from termwise.scenes.images import replicates
+    from termwise.reports.judging import gates
+    from termwise.reports.judging import suite as suites
+    from termwise.reports.judging.folder import check_exposure
 
-    if not images:
+    start = time.perf_counter()
+    check_exposure(exposure)
+    options: dict[str, Any] = {
+        "margin": margin,
+        "level": level,
+        "exact": reference_exact,
+        "noiseless": noiseless,
+        "allow_negative": allow_negative,
+        "samples": samples,
+        "layer": layer,
+        "reference_layer": reference_layer,
+        "hint": hints,
+    }
+    many = suite is not None or reference is None
+    if suite is not None:
+        if images or reference is None or len(reference) != 1:
+            raise ValueError("suite: allowed is --suite FOLDER --reference FOLDER, and no other images")
+        cases = suites.of_folders(suite, reference[0], objects=objects, mask=mask)
+    elif not images and reference is not None:
         raise ValueError("images: none given: allowed are images of replicates, or folders of them")
-    ours, truth = replicates(images, layer), replicates(reference, reference_layer)
-    ours.check_window(truth)
+    elif reference is None:
+        if len(images) < 2:
+            raise ValueError("reference: none given: allowed is --reference, or two and more sets of replicates")
+        cases = suites.each_against_each(images, objects=objects, mask=mask)
+    else:
+        places = {key: path for key, path in (("objects", objects), ("mask", mask)) if path is not None}
+        cases = [suites.Case("judge", list(images), reference, places)]
     folder = terminal.folder(out / "judge")
-    outcome = judging.judge(
-        ours.pixels,
-        truth.pixels,
-        folder,
-        exact=reference_exact,
-        noiseless=noiseless,
-        names=ours.names,
-        reference_names=truth.names,
-        notes=ours.notes + truth.notes,
-        exposure=exposure,
-        command=terminal.command(),
-    )["verdict"]
-    index = page.write(folder)
-    for warning in outcome["warnings"]:
-        terminal.messages.print(f"termwise: {warning}", soft_wrap=True, highlight=False)
+    if many:
+        outcomes = suites.judge_all(
+            cases, folder, exposure=exposure, command=terminal.command(), say=_progress, **options
+        )
+    else:
+        from termwise.reports.judging.judge import judge as judged
+
+        (case,) = cases
+        judgement = judged(case.images, case.reference, **options, **case.options)
+        page = judgement.save(folder, exposure=exposure, command=terminal.command())
+        outcomes = [suites.Outcome(" ".join(map(str, images)), judgement, page)]
+    if junit is not None:
+        gates.junit(junit, outcomes, require, seconds=time.perf_counter() - start)
+    if markdown is not None:
+        gates.markdown(markdown, outcomes, require)
+    status = gates.worst(outcomes, require)
+    index = folder / "index.html"
+    for each in outcomes:
+        for warning in each.judgement.warnings:
+            terminal.messages.print(
+                f"termwise: {f'{each.name}: ' if many else ''}{warning}", soft_wrap=True, highlight=False, markup=False
+            )
     if json_:
-        print(json.dumps(outcome | {"page": str(index)}))
-        return 1 if outcome["verdict"] == "BIASED" else 0
-    terminal.output.print(f"[bold]{outcome['verdict']}[/bold]", highlight=False)
-    terminal.say(outcome["sentence"])
-    for reason in outcome["reasons"]:
-        terminal.say(f"- {reason}")
-    for size in outcome["tiles"]:
-        terminal.say(_of_tiles(size))
+        found: dict[str, Any] = {"status": status, "require": require, "page": str(index)}
+        if many:
+            print(json.dumps(found | {"cases": suites.rows(outcomes, folder)}))
+        else:
+            print(json.dumps(outcomes[0].judgement.row() | found))
+        return status
+    if many:
+        _say_all(outcomes)
+    else:
+        _say(outcomes[0].judgement)
     terminal.say(f"\nReport: {index.resolve()}")
-    return 1 if outcome["verdict"] == "BIASED" else 0
+    return status
+
+
+def _progress(text: str) -> None:
+    terminal.messages.print(f"termwise: {text}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _say(judgement: Any) -> None:
+    """A line in plain words and the hints, then the statistics."""
+    terminal.say(f"[{_colour(judgement.verdict)}]{judgement.verdict}[/]: {judgement.headline}")
+    for hint in judgement.hints:
+        terminal.say(f"  hint: {hint.text}", markup=False)
+    terminal.say(f"\n{judgement.sentence}", markup=False)
+    for reason in judgement.reasons:
+        terminal.say(f"- {reason}", markup=False)
+    for size in judgement.tiles:
+        terminal.say(_of_tiles(size))
+
+
+def _say_all(outcomes: list[Any]) -> None:
+    """A line for each comparison."""
+    widest = max(len(each.name) for each in outcomes)
+    for each in outcomes:
+        judgement = each.judgement
+        name = each.name.ljust(widest).replace("[", r"\[")
+        terminal.say(f"{name}  [{_colour(judgement.verdict)}]{judgement.verdict}[/]: {judgement.headline}")
+        for hint in judgement.hints:
+            terminal.say(f"{' ' * widest}  hint: {hint.text}", markup=False)
+
+
+def _colour(word: str) -> str:
+    return f"bold {terminal.COLOURS.get(word, '')}".strip()
+
+
+_UNEVEN = 0.01
+"""Of the Kolmogorov-Smirnov test that the p-values of a map are uniform."""
 
 
 def _of_tiles(size: dict[str, Any]) -> str:
@@ -87,4 +193,6 @@ def _of_tiles(size: dict[str, Any]) -> str:
         return f"{what}: merged into those of {size['merged_into']} px (median skewness {size['skewness']:.2f})"
     found = f"{size['holm']} of {size['tested']} found by Holm, {size['benjamini_hochberg']} by Benjamini-Hochberg"
     text = f"{what}: {found}"
-    return text if size["uniform_p"] is None else f"{text}; p is uniform with p = {size['uniform_p']:.2g}"
+    if size["uniform_p"] is None:
+        return text
+    return f"{text}; its p-values are {'not ' if size['uniform_p'] < _UNEVEN else ''}spread as without a bias"

@@ -1,24 +1,38 @@
-"""Replicates of any renderer as a page: `results.json` and `results.nc` of `termwise judge` -> `index.html`."""
+"""Replicates of any renderer as pages: what `reports.judging` keeps -> `index.html` of a comparison, and of a suite."""
 
+import base64
+import io
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
+import attrs
 import numpy as np
 import xarray
+from markupsafe import Markup, escape
+from PIL import Image
 
-from termwise.reports.pages import pictures
+from termwise.reports.pages import digits, pictures, viewer
 from termwise.reports.pages.environment import WORDS, copy_static, p_maps, page_environment, render_page
 from termwise.reports.statistics import verdict
 
+NOTEBOOK_SIDE = 256
+"""Pixels of the longer side of a picture in a notebook, at most."""
+THUMBNAIL_SIDE = 160
+_LISTED = "results.json", "results.nc", "images.exr"
+_COLOURS = {"bad": ("#8c1d00", "#fddfd3"), "open": ("#634400", "#fbecc4"), "good": ("#00543f", "#d9f0e7")}
 
-def write(folder: Path) -> Path:
-    """Write the page of what was judged; returns the `index.html`.
+
+def write(folder: Path, *, root: str = "") -> Path:
+    """Write the page of a comparison; returns the `index.html`.
 
     Parameters
     ----------
-    folder : holds `results.json` and `results.nc`, as `reports.judging.judge` writes them.
+    folder : holds `results.json` and `results.nc`, as `reports.judging.folder` writes them.
+    root : leads from there to the folder of styles and scripts, that of the index of a suite; if empty they are written
+        beside the page.
 
     Raises
     ------
@@ -28,6 +42,7 @@ def write(folder: Path) -> Path:
     with xarray.open_dataset(folder / "results.nc", engine="h5netcdf") as opened:
         dataset = opened.load()
     shutil.rmtree(folder / "pictures", ignore_errors=True)
+    viewer.clear(folder)
 
     def picture(name: str, pixels: np.ndarray) -> str:
         path = Path("pictures") / f"{name.replace(' ', '-')}.png"
@@ -38,8 +53,9 @@ def write(folder: Path) -> Path:
     ours, reference = dataset["image"].values, dataset["reference"].values
     error, mean = pictures.relative_error(ours, reference)
     scale = pictures.error_scale([error])
+    shown = pictures.display(ours, exposure=exposure)
     drawn = {
-        "ours": picture("ours", pictures.display(ours, exposure=exposure)),
+        "ours": picture("ours", shown),
         "reference": picture("reference", pictures.display(reference, exposure=exposure)),
         "error": picture("error", pictures.diverge(error, scale=scale)),
         "maps": p_maps(dataset, "tiles", picture),
@@ -48,19 +64,131 @@ def write(folder: Path) -> Path:
         "height": ours.shape[0],
         "width": ours.shape[1],
     }
+    picture("thumbnail", _reduced(shown, THUMBNAIL_SIDE))
+    row = results["verdict"]
+    viewed = None
+    if row["verdict"] != "ABSENT":
+        viewed = viewer.write_data(folder, _Pair(dataset, row, results["settings"]))
+        viewed |= {"against": {"own": "reference"}}
     index = folder / "index.html"
     render_page(
         page_environment(),
         "judge.html.j2",
         index,
-        root="",
-        row=results["verdict"],
+        root=root,
+        row=row,
         settings=results["settings"],
         versions=results["versions"],
         drawn=drawn,
+        viewed=viewed,
+        beside="",  # its pixels are, whatever the root of styles
         words=WORDS,
         rule=verdict,
-        downloads=[name for name in ("results.json", "results.nc", "images.exr") if (folder / name).is_file()],
+        downloads=[name for name in _LISTED if (folder / name).is_file()],
+    )
+    if not root:
+        copy_static(folder)
+    return index
+
+
+def write_index(folder: Path, results: dict[str, Any]) -> Path:
+    """Write the index of a suite, of what its `results.json` holds, with the styles and scripts of all its pages."""
+    index = folder / "index.html"
+    render_page(
+        page_environment(),
+        "suite.html.j2",
+        index,
+        root="",
+        cases=results["cases"],
+        settings=results["settings"],
+        versions=results["versions"],
+        words=WORDS,
+        rule=verdict,
     )
     copy_static(folder)
     return index
+
+
+@attrs.frozen(eq=False)
+class _Pair:
+    """A comparison as the viewer knows a scene: one cell, one limit."""
+
+    read: xarray.Dataset
+    verdict: dict[str, Any]
+    settings: dict[str, Any]
+    name: str = "images"
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"exposure": None}
+
+    def row(self, term: str, variant: str, against: str) -> dict[str, Any]:
+        return self.verdict | {
+            "replicates": self.settings["replicates"],
+            "reference_replicates": self.settings["reference_replicates"],
+        }
+
+    def dataset(self, run: Path) -> xarray.Dataset:
+        cell, limit = ["image", "image_variance"], ["reference", "reference_variance"]
+        cell += [name for name in self.read.data_vars if str(name).startswith("tile_")]
+        of_limits = self.read[limit].expand_dims("limit")
+        return (
+            self.read[cell]
+            .expand_dims("cell")
+            .merge(of_limits)
+            .assign(
+                cell_term=("cell", ["image"]),
+                cell_variant=("cell", ["ours"]),
+                own=("cell", [0]),
+                limit_name=("limit", [f"{self.settings['reference_replicates']} replicates"]),
+            )
+        )
+
+
+def notebook(judgement: Any) -> str:
+    """What a notebook shows of a `Judgement`: ours, reference and error, the verdict, its words and the interval."""
+    colour, sign = WORDS.get(str(judgement.verdict), ("none", "·"))
+    ink, back = _COLOURS.get(colour, ("#474d56", "#e8eaec"))
+    chip = Markup(
+        '<span style="color:{};background:{};padding:0.1em 0.5em;border-radius:0.25em;font-weight:600">{} {}</span>'
+    ).format(ink, back, sign, judgement.verdict)
+    images = Markup("")
+    if judgement.ours is not None and judgement.reference is not None:
+        from termwise.reports.judging.folder import shown_at
+
+        ours, reference = (np.asarray(each.mean) for each in (judgement.ours, judgement.reference))
+        exposure = shown_at(reference)
+        error, _ = pictures.relative_error(ours, reference)
+        scale = pictures.error_scale([error])
+        drawn = {
+            "ours": pictures.display(ours, exposure=exposure),
+            "reference": pictures.display(reference, exposure=exposure),
+            f"error, ±{digits.percent(scale, signed=False)}": pictures.diverge(error, scale=scale),
+        }
+        images = Markup("").join(
+            Markup(
+                '<figure style="display:inline-block;margin:0 0.6em 0.4em 0"><img alt="{0}" src="data:image/png;base64,'
+                '{1}" style="image-rendering:pixelated;max-width:16em;min-width:8em"><figcaption>{0}</figcaption>'
+                "</figure>"
+            ).format(name, _inline(_reduced(pixels, NOTEBOOK_SIDE)))
+            for name, pixels in drawn.items()
+        )
+    bias = digits.interval(judgement.bias, judgement.bias_low, judgement.bias_high)
+    said = Markup("").join(Markup("<br>hint: {}").format(hint.text) for hint in judgement.hints)
+    return str(
+        Markup("<div>{}<div>{} {}<br>bias {}, 90 % interval{}</div></div>").format(
+            images, chip, escape(judgement.headline), bias, said
+        )
+    )
+
+
+def _reduced(pixels: np.ndarray, side: int) -> np.ndarray:
+    image = Image.fromarray(np.ascontiguousarray(pixels))
+    image.thumbnail((side, side))
+    return np.asarray(image)
+
+
+def _inline(pixels: np.ndarray) -> str:
+    stored = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stored, format="PNG")
+    return base64.b64encode(stored.getvalue()).decode("ascii")

@@ -11,10 +11,6 @@ import warnings
 import numpy as np
 from skimage.metrics import structural_similarity
 
-with warnings.catch_warnings():  # colour-science warns that matplotlib, which it draws with, is absent
-    warnings.simplefilter("ignore")
-    import colour
-
 SSIM_WINDOW = 11
 """Side in pixels of the Gaussian window (standard deviation 1.5, cut at 3.5 of them)."""
 
@@ -91,6 +87,9 @@ def encode(radiance: np.ndarray, *, exposure: float, gamma: float | None = None)
     clipped = np.clip(np.asarray(radiance, dtype=np.float64) * exposure, 0.0, 1.0)
     if gamma is not None:
         return clipped ** (1.0 / gamma)
+    with warnings.catch_warnings():  # colour-science warns that matplotlib, which it draws with, is absent
+        warnings.simplefilter("ignore")
+        import colour  # takes seconds, and not every page shows a picture
     return np.asarray(colour.cctf_encoding(clipped, function="sRGB"))
 
 

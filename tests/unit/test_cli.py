@@ -270,7 +270,7 @@ def test_judge_says_equivalent(run: Command, replicates: Callable[..., list[str]
     assert verdict["verdict"] == "EQUIVALENT"
     assert verdict["bias_low"] <= verdict["bias"] <= verdict["bias_high"]
     shown = run("judge", *ours, "--reference", *reference)
-    assert shown.output.splitlines()[0] == "EQUIVALENT"
+    assert shown.output.startswith("EQUIVALENT: agrees: off by ")
     assert shown.status == 0
 
 
@@ -287,7 +287,7 @@ def test_judge_takes_folders_and_writes_a_page(run: Command, replicates: Callabl
     assert outcome.status == 1
     verdict = json.loads(outcome.output)
     results = json.loads(Path("there/judge/results.json").read_text())
-    assert results["verdict"] | {"page": "there/judge/index.html"} == verdict
+    assert results["verdict"] | {"page": "there/judge/index.html", "status": 1, "require": "unbiased"} == verdict
     assert results["settings"]["exposure"] == 2
     assert [size["side"] for size in verdict["tiles"]] == [8, 16, 32]
     assert verdict["tiles"][0]["holm"] == 16

@@ -5,7 +5,7 @@ const root = document.getElementById("viewer");
 const viewed = JSON.parse(document.getElementById("viewed").textContent);
 const find = (id) => document.getElementById(id);
 const { width, height } = viewed;
-const AGAINST = { own: "own limit", correct: "correct", physical: "physical" };
+const AGAINST = viewed.against ?? { own: "own limit", correct: "correct", physical: "physical" };
 const MAPS = { reference: "reference", signed: "signed error", relative: "relative error", deviations: "deviations", p: "p-map", flip: "FLIP" };
 const START = {
   term: "total" in viewed.terms ? "total" : Object.keys(viewed.terms)[0], variant: null, shown: "ours", against: "own", beside: "signed", side: 16,
@@ -355,7 +355,8 @@ function converge(pixel) {
 
 // Words
 const percent = (value, signed) => `${signed && value > 0 ? "+" : ""}${number(Number((100 * value).toPrecision(2)))} %`;
-const name = (what) => (what === "ours" ? `ours, ${state.term === "total" ? "sum of the terms" : variant().name}` : `${AGAINST[what]} (${pair()?.limit})`);
+const alone = "ours"; // the name of what is no variant: the images of another renderer
+const name = (what) => (what === "ours" ? (variant().name === alone ? alone : `ours, ${state.term === "total" ? "sum of the terms" : variant().name}`) : `${AGAINST[what]} (${pair()?.limit})`);
 
 function caption(canvas, text, map) {
   const place = canvas.nextElementSibling;
@@ -526,7 +527,7 @@ async function draw() {
     root.dataset.state = "ready";
     return;
   }
-  find("status").textContent = variant().verdict ? `Verdict of ${state.term}${state.term === "total" ? "" : ` ${variant().name}`} against its own limit: ${variant().verdict}` : "";
+  find("status").textContent = variant().name === alone ? "" : variant().verdict ? `Verdict of ${state.term}${state.term === "total" ? "" : ` ${variant().name}`} against its own limit: ${variant().verdict}` : "";
   const ours = () => surface(picture(loaded.get(variant().key)));
   const reference = () => surface(picture(loaded.get(pair().key)));
   const order = state.shown === "ours" ? [ours, reference] : [reference, ours];
@@ -638,6 +639,8 @@ document.addEventListener("keydown", (event) => {
 });
 
 for (const term of Object.keys(viewed.terms)) find("term").add(new Option(term, term));
+find("term").parentElement.toggleAttribute("hidden", Object.keys(viewed.terms).length < 2);
+find("against").toggleAttribute("hidden", Object.keys(AGAINST).length < 2);
 find("term").addEventListener("change", (event) => change({ term: event.target.value }));
 for (const side of viewed.sides) find("side").add(new Option(`${side} px`, side));
 find("side").addEventListener("change", (event) => change({ side: Number(event.target.value) }));

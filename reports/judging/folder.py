@@ -1,0 +1,96 @@
+"""A comparison in a folder: `results.json`, `results.nc`, `images.exr`, and the page that is made of them.
+
+`results.json` holds the verdict, the hints, the summaries of the tiles and what was compared; `results.nc` the means
+`image` and `reference` (y, x, channel) with their variances, and the maps of the tiles.
+"""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import xarray
+
+from termwise.reports.judging.judge import Judgement, Measured
+from termwise.reports.machine import versions
+from termwise.reports.results.exr import write_exr
+from termwise.reports.results.netcdf import write_netcdf
+from termwise.reports.results.schema import SCHEMA, plain
+from termwise.reports.statistics import replicates, tiles
+from termwise.scenes.store import write_atomically
+
+MIDDLE_GREY = 0.18
+"""What the mean of the reference is shown as."""
+
+
+def check_exposure(exposure: float | None) -> None:
+    """Refuse an exposure that is not positive with a ValueError."""
+    if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
+        raise ValueError(f"exposure = {exposure}: allowed is a number in (0, inf)")
+
+
+def shown_at(reference: np.ndarray) -> float:
+    """The factor on the radiance that shows the mean of a reference as middle grey."""
+    mean = float(np.mean(replicates.luminance_of(reference)))
+    return MIDDLE_GREY / mean if np.isfinite(mean) and mean > 0 else 1.0
+
+
+def keep(folder: Path, compared: Judgement | Measured, *, exposure: float | None = None, command: str = "") -> None:
+    """Write images and maps of a comparison, whatever becomes of its verdict.
+
+    Parameters
+    ----------
+    folder : gets `results.nc` and `images.exr`; made if missing.
+    compared : with its images.
+    exposure : factor on the radiance in pictures; by default the mean of the reference is shown as middle grey.
+    command : what was asked for, to stand in the header.
+    """
+    check_exposure(exposure)
+    ours, truth = compared.ours, compared.reference
+    if ours is None or truth is None:
+        raise ValueError("the images of this comparison were not kept: allowed is what `judge` returns")
+    shown = exposure or shown_at(truth.mean)
+    dataset = xarray.Dataset(
+        {
+            name: (("y", "x", "channel"), values.astype(np.float32))
+            for name, values in (
+                ("image", ours.mean),
+                ("image_variance", ours.variance),
+                ("reference", truth.mean),
+                ("reference_variance", truth.variance),
+            )
+        },
+        {"channel": list(replicates.CHANNELS)},
+        {"exposure": shown, "units": "linear Rec. 709 radiance"},
+    )
+    if compared.maps:
+        dataset = dataset.assign(xarray.Dataset(tiles.variables([compared.maps])).isel(cell=0))
+    # A page of an earlier run must not stand beside new results, should this one end here.
+    for name in ("index.html", "results.json"):
+        (folder / name).unlink(missing_ok=True)
+    with np.errstate(invalid="ignore"):
+        parts = {"ours": ours.mean, "reference": truth.mean, "error": ours.mean - truth.mean}
+    write_exr(folder / "images.exr", parts, {"software": "termwise", "command": command})
+    write_netcdf(folder / "results.nc", {"/": dataset})
+
+
+def publish(folder: Path, judgement: Judgement, *, command: str = "", root: str = "") -> Path:
+    """Write `results.json` and the page of a comparison whose images are kept; returns the `index.html`.
+
+    `root` leads from the folder to that of the index of a suite; empty where there is none.
+    """
+    from termwise.reports.pages import judge as page
+
+    with h5py.File(folder / "results.nc") as kept:
+        exposure = float(kept.attrs["exposure"][0])
+    results = plain(
+        {
+            "schema": SCHEMA,
+            "versions": versions(),
+            "settings": {"command": command, "exposure": exposure, **judgement.settings},
+            "verdict": judgement.row(),
+        }
+    )
+    text = json.dumps(results, indent=1, allow_nan=False)
+    write_atomically(folder / "results.json", lambda path: path.write_text(text, "utf-8"))
+    return page.write(folder, root=root)

@@ -1,0 +1,118 @@
+"""A verdict in plain words, one line: what a person says first, before any statistics."""
+
+import numpy as np
+
+from termwise.reports.statistics.accumulation import Statistics
+from termwise.reports.statistics.replicates import CHANNELS
+from termwise.reports.statistics.sentence import tile_words
+from termwise.reports.statistics.verdict import PLACE_SIDE, Verdict
+
+EVERYWHERE = 0.5
+"""Share of the lit tiles that must be seen to be off, the same way, for an error to be called everywhere."""
+_WIDESPREAD = 0.2
+"""Share of the tiles, of which noise shows a twentieth, above which an error is of the picture, not of a place."""
+_SEEN = 2.0
+"""Standard errors beyond which a tile is seen to be off: it names a place and proves nothing."""
+
+
+def headline(verdict: Verdict, statistics: Statistics) -> str:
+    """`2 % too bright, everywhere`; `too noisy to say: needs 48 replicates a side`.
+
+    Parameters
+    ----------
+    verdict : of the rule.
+    statistics : of the same comparison.
+    """
+    match verdict.verdict:
+        case "ABSENT":
+            return "black on both sides: nothing to compare"
+        case "EQUIVALENT" | "AS PREDICTED":
+            half = max(verdict.bias_high - verdict.bias, verdict.bias - verdict.bias_low)
+            return f"agrees: off by {_signed(verdict.bias)} ± {_share(half)}, and ±{_share(verdict.margin)} is allowed"
+        case "UNDERPOWERED":
+            return _open(verdict, statistics)
+        case _:
+            return _proven(verdict, statistics)
+
+
+def _open(verdict: Verdict, statistics: Statistics) -> str:
+    if verdict.samples_ratio is None:
+        between = f"between {_signed(verdict.bias_low)} and {_signed(verdict.bias_high)}"
+        return f"not decided: {between}, likely off by more than ±{_share(verdict.margin)}"
+    if verdict.samples_to_margin is not None:
+        return f"too noisy to say: needs {verdict.samples_to_margin} samples a pixel"
+    if verdict.samples_ratio <= 1:
+        return f"not decided: {verdict.reasons[0]}" if verdict.reasons else "not decided"
+    replicates = int(np.ceil(verdict.samples_ratio * statistics.replicates))
+    times = f"{float(f'{verdict.samples_ratio:.2g}'):g}"
+    return f"too noisy to say: needs {times} times the samples, or {replicates} replicates a side"
+
+
+def _proven(verdict: Verdict, statistics: Statistics) -> str:
+    if statistics.invalid:
+        counts = [(statistics.non_finite, "NaN or infinite"), (statistics.negative, "negative")]
+        return f"{' and '.join(f'{n} values {what}' for n, what in counts if n)}, the first at {verdict.place}"
+    image = [each for each in verdict.regions if each.region == "image"]
+    sure = [each for each in image if _outside_zero(each.family_low, each.family_high)]
+    if sure:
+        signs = {np.sign(each.bias) for each in sure}
+        if len(signs) > 1:
+            return "wrong colours: " + ", ".join(f"{each.channel} {_off(each.bias)}" for each in sure)
+        if len(sure) < len(CHANNELS) and not _outside_zero(verdict.family_low, verdict.family_high):
+            return ", ".join(f"{each.channel} {_off(each.bias)}" for each in sure)
+        largest = max(sure, key=lambda each: abs(each.bias))
+        bias = verdict.bias if len(sure) == len(CHANNELS) else largest.bias
+        who = "" if len(sure) == len(CHANNELS) else f"{largest.channel} "
+        return f"{who}{_off(bias)}, {_where(verdict, statistics)}"
+    objects = [each for each in verdict.regions if each.region != "image"]
+    sure = [each for each in objects if _outside_zero(each.family_low, each.family_high)]
+    if sure:
+        worst = max(sure, key=lambda each: abs(each.bias))
+        return f"{worst.region} {_off(worst.bias)}, the image's mean is not seen to be off"
+    tile = statistics.tiles[PLACE_SIDE]
+    x, y, _, _ = verdict.tile
+    bias = float(tile.bias[y // PLACE_SIDE, x // PLACE_SIDE])
+    place = tile_words(verdict.tile)
+    if (np.abs(tile.bias) > _SEEN * tile.standard_error).mean() < _WIDESPREAD and abs(bias) > _small(statistics):
+        return f"{_off(bias)} at {place}, right on average"
+    rms = np.sqrt(max(theta.value for theta in statistics.mean_square.values()))
+    return f"right on average, but misplaced by {_share(rms)} rms, most of all at {place}"
+
+
+def _where(verdict: Verdict, statistics: Statistics) -> str:
+    """Everywhere, or where most of all: whether one factor explains the tiles."""
+    tiles, sign = statistics.tiles[PLACE_SIDE], np.sign(verdict.bias)
+    lit = tiles.reference > 0.01 * statistics.term_mean
+    if not lit.any():
+        return "where the reference is black"
+    off = (sign * tiles.bias > _SEEN * tiles.standard_error)[lit].mean()
+    # Relative to the tile: what one factor leaves.
+    rest = (tiles.ours - (1 + verdict.bias) * tiles.reference) / tiles.scale / tiles.standard_error
+    uneven = (np.abs(rest[lit]) > 2 * _SEEN).mean()
+    if off >= EVERYWHERE and uneven < 0.1:
+        return "everywhere"
+    return f"most of all at {tile_words(verdict.tile)}" if uneven >= 0.1 or off < 0.1 else "on average"
+
+
+def _small(statistics: Statistics) -> float:
+    """Relative bias of a tile that noise alone may show."""
+    return 3 * float(np.median(statistics.tiles[PLACE_SIDE].standard_error))
+
+
+def _outside_zero(low: float | None, high: float | None) -> bool:
+    return low is not None and high is not None and (low > 0 or high < 0)
+
+
+def _off(bias: float) -> str:
+    if bias >= 1 or -0.9999 < bias < -0.9:
+        return f"{1 + bias:.3g} times as bright as the reference"
+    return f"{_share(abs(bias))} too {'bright' if bias > 0 else 'dark'}" if bias > -0.9999 else "black"
+
+
+def _share(value: float) -> str:
+    """Two digits that mean something: `0.042 %`, `2 %`, `31 %`, `140 %`."""
+    return f"{float(f'{100 * value:.2g}'):g} %"
+
+
+def _signed(value: float) -> str:
+    return ("+" if value > 0 else "-" if value < 0 else "") + _share(abs(value))

@@ -1,0 +1,407 @@
+"""Hints after BIASED: simple causes, each undone on the replicates and judged by the same rule. Never a verdict.
+
+A cause is a `Correction`: a change of each image of ours (or of the reference) and what it is called. Those that could
+explain the error are found on the mean images; each is then undone on every replicate, the corrected replicates are
+judged as the given ones were, and the cause is said only if no error of theirs is proven and at least half of the
+distance `D`, `D² = Σ_c δ_c² + θ_2 + θ_8` (the mean of each channel, the shape over 2 and 8 px), is gone: noise that
+hides an error is no explanation of it.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import attrs
+import numpy as np
+import scipy
+
+from termwise.reports.statistics import accumulation, rule
+from termwise.reports.statistics.accumulation import Statistics
+from termwise.reports.statistics.replicates import luminance_of
+
+REACH = 2.0
+"""Largest shift in pixels that is tried, in steps of half of one."""
+QUANTILE = 0.999
+LISTED = 3
+REPLICATES = 16
+"""More replicates than these are averaged by groups, for speed."""
+FACTORS = {
+    "π": math.pi,
+    "1/π": 1 / math.pi,
+    "2π": 2 * math.pi,
+    "1/(2π)": 0.5 / math.pi,
+    "4π": 4 * math.pi,
+    "1/(4π)": 0.25 / math.pi,
+    "2": 2.0,
+    "1/2": 0.5,
+    "4": 4.0,
+    "1/4": 0.25,
+    "683": 683.0,
+    "1/683": 1 / 683,
+}
+"""Factors that have a name: solid angles, halves, luminous efficacy in lm/W."""
+_FACTOR_NEAR = 0.005
+_PROMISING = 0.25
+"""Share of the mean square error of the mean images that a correction may leave to be tried on the replicates."""
+_SURE = 4.0
+"""Standard errors of a mean square error from which on it is one."""
+
+Image = np.ndarray
+Change = Callable[[Image], Image]
+
+
+@attrs.frozen
+class Hint:
+    """A simple cause that would explain a proven error.
+
+    Attributes
+    ----------
+    text : `agrees if ours is flipped upside down`.
+    left : the distance D that remains, relative to the term's mean.
+    verdict : of the corrected replicates, EQUIVALENT or UNDERPOWERED.
+    """
+
+    text: str
+    left: float
+    verdict: str
+
+
+def _same(image: Image) -> Image:
+    return image
+
+
+@attrs.frozen
+class Correction:
+    """What undoes a cause, image by image, and how it is said after `agrees if`.
+
+    Attributes
+    ----------
+    text : str
+    ours, reference : (H, W, C) -> (H, W, C) of the side.
+    margin : pixels at each border that are no longer defined, or left out.
+    moves : whether pixels move, so that a mask has to follow.
+    always : tried on the replicates whatever the mean images say of it.
+    """
+
+    text: str
+    ours: Change = _same
+    reference: Change = _same
+    margin: int = 0
+    moves: bool = False
+    always: bool = False
+
+    def then(self, other: "Correction") -> "Correction":
+        """Both, this one first."""
+        return Correction(
+            f"{self.text} and {other.text.removeprefix('ours is ')}",
+            lambda image: other.ours(self.ours(image)),
+            lambda image: other.reference(self.reference(image)),
+            margin=max(self.margin, other.margin),
+            moves=self.moves or other.moves,
+        )
+
+
+_BORDER = Correction("the outermost pixels (1 px) are left out: the border alone is off", margin=1)
+
+
+@attrs.frozen(eq=False)
+class _Halves:
+    """Means of the first and of the second half of the replicates, of each side; an exact reference is both of its."""
+
+    ours: tuple[Image, Image]
+    reference: tuple[Image, Image]
+
+    @classmethod
+    def of(cls, ours: np.ndarray, reference: np.ndarray, mask: np.ndarray | None) -> "_Halves":
+        def split(stack: np.ndarray) -> tuple[Image, Image]:
+            middle = len(stack) // 2
+            parts = (stack[:middle], stack[middle:]) if middle else (stack, stack)
+            first, second = (np.mean(each, axis=0, dtype=np.float64) for each in parts)
+            return (
+                (first, second) if mask is None else tuple(np.where(mask[..., None], p, 0.0) for p in (first, second))
+            )
+
+        return cls(split(ours), split(reference))
+
+    @property
+    def means(self) -> tuple[Image, Image]:
+        """Of each side."""
+        return sum(self.ours) / 2, sum(self.reference) / 2
+
+    def left(self, correction: Correction) -> float:
+        """Mean square error that a correction leaves, without noise: a product of two halves has none in its mean."""
+        first, second = (
+            _inner(correction.ours(ours) - correction.reference(reference), correction.margin)
+            for ours, reference in zip(self.ours, self.reference, strict=True)
+        )
+        return float(np.mean(first * second))
+
+    def noise(self, margin: int) -> float:
+        """Standard error of what `left` finds where nothing differs."""
+        first, second = (_inner(a - b, margin) for a, b in zip(self.ours, self.reference, strict=True))
+        return float(np.sqrt(np.mean(first**2) * np.mean(second**2) / first[..., 0].size))
+
+
+def hints(
+    ours: np.ndarray,
+    reference: np.ndarray,
+    statistics: Statistics,
+    *,
+    mask: np.ndarray | None = None,
+    margin: float,
+    level: float,
+    allow_negative: bool = False,
+) -> tuple[Hint, ...]:
+    """Simple causes that would explain why replicates are BIASED, the best first, at most three.
+
+    Parameters
+    ----------
+    ours, reference : (K, H, W, 3) and (R, H, W, 3) floating, as they were judged.
+    statistics : of the two.
+    mask : (H, W) bool, optional
+    margin, level, allow_negative : as they were judged with.
+    """
+    if statistics.invalid or statistics.reference_is_zero or not np.any(ours):
+        return ()
+    groups = [_grouped(each) for each in (ours, reference)]
+    halves = _Halves.of(ours, reference, mask)
+    far = _distance(statistics)
+
+    def tried(correction: Correction) -> Hint | None:
+        found = _measured(correction, ours, reference, groups, mask, statistics.exact, allow_negative)
+        if found is None:
+            return None
+        verdict = rule.decide(found, tests=found.tests, margin=margin, level=level).verdict
+        left = _distance(found)
+        if verdict == "BIASED" or left > far / 2:
+            return None
+        return Hint(f"agrees if {correction.text}", left, str(verdict))
+
+    border = tried(_BORDER)
+    singles = list(_singles(ours, *halves.means, statistics))
+    if border:  # what leaves out more than the border is explained by that alone
+        singles = [each for each in singles if not each.margin]
+    found = [hint for each in _promising(singles, halves) if (hint := tried(each))] + [border] * bool(border)
+    if not found:
+        means = halves.means
+        pairs = [
+            moved.then(scaled)
+            for moved in singles
+            if moved.moves and not moved.margin or "order" in moved.text
+            for scaled in _factors(moved.ours(means[0]), moved.reference(means[1]), None)
+        ]
+        found = [hint for each in _promising(pairs, halves, best=1) if (hint := tried(each))]
+    return tuple(sorted(found, key=lambda hint: hint.left)[:LISTED])
+
+
+def _distance(statistics: Statistics) -> float:
+    shape = sum(max(theta.value, 0.0) for theta in statistics.mean_square.values())
+    return float(np.sqrt(np.sum(statistics.regions.bias[0] ** 2) + shape))
+
+
+def _grouped(stack: np.ndarray) -> list[slice]:
+    """Replicates that are averaged, of equal number."""
+    size = max(1, len(stack) // REPLICATES)
+    return [slice(start, start + size) for start in range(0, len(stack) - size + 1, size)]
+
+
+def _inner(image: Image, margin: int) -> Image:
+    return image[margin : image.shape[0] - margin, margin : image.shape[1] - margin]
+
+
+def _measured(
+    correction: Correction,
+    ours: np.ndarray,
+    reference: np.ndarray,
+    groups: list[list[slice]],
+    mask: np.ndarray | None,
+    exact: bool,
+    allow_negative: bool,
+) -> Statistics | None:
+    """The corrected replicates as they are judged; None where nothing of them is left."""
+    if min(ours.shape[1:3]) <= 2 * correction.margin:
+        return None
+    inside = mask
+    if mask is not None and correction.moves:
+        both = [
+            change(mask[..., None].astype(np.float64))[..., 0] for change in (correction.ours, correction.reference)
+        ]
+        inside = np.logical_and(*(each > 0.999 for each in both))
+    if inside is not None:
+        inside = _inner(inside, correction.margin)
+        if not inside.any():
+            return None
+    sides = []
+    for stack, change, its in ((ours, correction.ours, groups[0]), (reference, correction.reference, groups[1])):
+        if change is _same and len(its) == len(stack):
+            sides.append(
+                np.asarray(stack)[
+                    :,
+                    correction.margin : stack.shape[1] - correction.margin,
+                    correction.margin : stack.shape[2] - correction.margin,
+                ]
+            )
+            continue
+        made = [np.mean([change(image) for image in stack[each]], axis=0) for each in its]
+        sides.append(np.stack([_inner(image, correction.margin) for image in made]))
+    try:
+        return accumulation.measure(*sides, mask=inside, exact=exact, allow_negative=True)
+    except ValueError:  # a correction may make what no comparison takes: all black, say
+        return None
+
+
+def _promising(corrections: list[Correction], halves: _Halves, best: int | None = None) -> Iterator[Correction]:
+    """Those that leave little of the mean square error between the mean images, the best of them first."""
+    left = [halves.left(each) for each in corrections]
+    base = {each: _seen(halves, each) for each in {each.margin for each in corrections}}
+    order = sorted(range(len(corrections)), key=left.__getitem__)
+    good = [each for i in order if (each := corrections[i]).always or left[i] < _PROMISING * base[each.margin]]
+    # Of shifts, neighbours explain as well: the best one is tried.
+    seen = set()
+    for each in good[:best]:
+        kind = each.text.partition(" by ")[0] if each.moves and each.margin else each.text
+        if kind not in seen:
+            seen.add(kind)
+            yield each
+
+
+def _seen(halves: _Halves, margin: int) -> float:
+    """The mean square error between the mean images; 0 where noise alone explains it, which nothing improves."""
+    found = halves.left(Correction("", margin=margin))
+    return found if found > _SURE * halves.noise(margin) else 0.0
+
+
+def _singles(stack: np.ndarray, ours: Image, reference: Image, statistics: Statistics) -> Iterator[Correction]:
+    """All simple causes, with what has to be fitted fitted to the mean images."""
+    yield Correction("ours is flipped upside down", lambda image: image[::-1], moves=True)
+    yield Correction("ours is flipped left to right", lambda image: image[:, ::-1], moves=True)
+    yield Correction("ours is turned by 180°", lambda image: image[::-1, ::-1], moves=True)
+    if ours.shape[0] == ours.shape[1]:
+        yield Correction("ours is transposed (x and y exchanged)", lambda image: image.swapaxes(0, 1), moves=True)
+    for order in itertools.permutations(range(3)):
+        if order != (0, 1, 2):
+            name = "".join("RGB"[c] for c in order)
+            text = f"the channels of ours are taken in the order {name}"
+            yield Correction(text, lambda image, order=order: image[..., list(order)])
+    if min(ours.shape[:2]) > 4 * REACH:
+        yield from _shifts()
+    yield from _factors(ours, reference, statistics)
+    yield from _curves()
+    yield from _clamps(stack, ours, reference)
+    if min(ours.shape[:2]) > 16:
+        yield from _blurs(ours, reference)
+
+
+def _shifts() -> Iterator[Correction]:
+    """Half a pixel is a quarter on either side, so that both are interpolated alike."""
+    steps = np.arange(-REACH, REACH + 0.5, 0.5)
+    for dy, dx in itertools.product(steps, steps):
+        if dx == dy == 0:
+            continue
+        whole, rest = np.floor([dy, dx]).astype(int), np.array([dy, dx]) % 1 / 2
+        words = ", ".join(
+            f"{abs(step):g} px {away if step > 0 else back}"
+            for step, away, back in ((dx, "to the right", "to the left"), (dy, "down", "up"))
+            if step
+        )
+        yield Correction(
+            f"ours is shifted by {words}",
+            lambda image, whole=whole, rest=rest: _moved(image, whole, rest),
+            _same if not rest.any() else lambda image, rest=rest: _moved(image, np.zeros(2, int), -rest),
+            margin=int(REACH) + 1,
+            moves=True,
+        )
+
+
+def _moved(image: Image, whole: np.ndarray, part: np.ndarray) -> Image:
+    """Moved down and right by whole pixels and a part of one, interpolated linearly; the border wraps."""
+    for axis in (0, 1):
+        image = np.roll(image, whole[axis], axis)
+        if part[axis]:
+            neighbour = np.roll(image, int(np.sign(part[axis])), axis)
+            image = (1 - abs(part[axis])) * image + abs(part[axis]) * neighbour
+    return image
+
+
+def _factors(ours: Image, reference: Image, statistics: Statistics | None) -> Iterator[Correction]:
+    """One factor on all: that of the means, by its name where it has one."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = float(luminance_of(ours).mean() / luminance_of(reference).mean())
+    if not (np.isfinite(gain) and gain > 0):
+        return
+    near = _FACTOR_NEAR if statistics is None else max(3 * float(statistics.luminance.standard_error), _FACTOR_NEAR)
+    for name, factor in FACTORS.items():
+        if abs(gain / factor - 1) <= near:
+            text = (
+                f"ours is divided by {name}" if "/" not in name else f"ours is multiplied by {name.removeprefix('1/')}"
+            )
+            yield Correction(text.replace("(", "").replace(")", ""), lambda image, by=factor: image / by, always=True)
+            return
+    yield Correction(f"ours is multiplied by one factor, {1 / gain:.4g}", lambda image: image / gain, always=True)
+
+
+def _curves() -> Iterator[Correction]:
+    """Encodings for a screen, undone, or undone where there were none."""
+
+    def power(exponent: float) -> Change:
+        return lambda image: np.maximum(image, 0.0) ** exponent
+
+    def decoded(image: Image) -> Image:
+        image = np.maximum(image, 0.0)
+        return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
+
+    def encoded(image: Image) -> Image:
+        image = np.maximum(image, 0.0)
+        return np.where(image <= 0.0031308, 12.92 * image, 1.055 * image ** (1 / 2.4) - 0.055)
+
+    yield Correction("ours is raised to the power 2.2: it is gamma-encoded (1/2.2)", power(2.2))
+    yield Correction("ours is raised to the power 1/2.2: a gamma of 2.2 was undone once too often", power(1 / 2.2))
+    yield Correction("ours is decoded by sRGB's curve: it is sRGB-encoded", decoded)
+    yield Correction("ours is encoded by sRGB's curve: the curve was undone once too often", encoded)
+
+
+def _clamps(stack: np.ndarray, ours: Image, reference: Image) -> Iterator[Correction]:
+    """Brightest pixels: clamped on both sides, or on the reference's where ours is clamped already."""
+    limit = float(np.quantile(np.concatenate([ours.ravel(), reference.ravel()]), QUANTILE))
+    if limit > 0:
+        text = f"both are clamped at their 99.9 % quantile ({limit:.3g}): the brightest pixels alone are off"
+
+        def clamp(image: Image, limit: float = limit) -> Image:
+            return np.minimum(image, limit)
+
+        yield Correction(text, clamp, clamp, always=True)
+    most = float(np.max(stack))
+    if np.count_nonzero(stack == most) > max(3, len(stack)):
+
+        def clipped(image: Image) -> Image:
+            return np.minimum(image, most)
+
+        yield Correction(f"the reference is clamped at {most:.4g}, above which ours has no value", reference=clipped)
+
+
+def _blurs(ours: Image, reference: Image) -> Iterator[Correction]:
+    """A Gaussian on the sharper side, of the width that fits best."""
+    y, r = luminance_of(ours), luminance_of(reference)
+
+    def blurred(image: Image, sigma: float) -> Image:
+        width = (sigma, sigma) + (0,) * (image.ndim - 2)
+        return scipy.ndimage.gaussian_filter(image, width, truncate=4.0, mode="nearest")
+
+    for sharper, other, ours_is in ((y, r, True), (r, y, False)):
+
+        def left(sigma: float, sharper: Image = sharper, other: Image = other) -> float:
+            return float(np.mean(_inner(blurred(sharper, sigma) - other, 4) ** 2))
+
+        sigma = float(
+            scipy.optimize.minimize_scalar(left, bounds=(0.05, 2.0), method="bounded", options={"xatol": 0.01}).x
+        )
+        side, has = ("ours", "a narrower") if ours_is else ("the reference", "a wider")
+        text = f"{side} is blurred by {sigma:.2f} px: ours has {has} pixel filter"
+
+        def change(image: Image, sigma: float = sigma) -> Image:
+            return blurred(image, sigma)
+
+        if ours_is:
+            yield Correction(text, change, margin=4, moves=True)
+        else:
+            yield Correction(text, reference=change, margin=4, moves=True)

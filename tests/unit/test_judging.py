@@ -1,0 +1,250 @@
+"""Images of any renderer in Python: what is taken, plain words, and hints after BIASED.
+
+Hints are tried on faults that are planted here into a picture of edges and gradients. What is planted is known, and
+a hint that names it is right; a fault of another kind has none.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termwise
+from termwise.reports.judging.suite import slug
+from termwise.reports.results.exr import write_exr
+from termwise.scenes.terms import TermImage
+
+SIZE = 48
+Y, X = np.mgrid[:SIZE, :SIZE] / SIZE
+PICTURE = (0.3 + np.exp(-((X - 0.3) ** 2 + (Y - 0.7) ** 2) * 20) + ((X > 0.6) & (Y < 0.4)) * 0.5)[..., None] * np.array(
+    [1.0, 0.7, 0.4]
+)
+Draw = Callable[..., np.ndarray]
+
+
+def same(image: np.ndarray) -> np.ndarray:
+    return image
+
+
+@pytest.fixture
+def draw() -> Draw:
+    """A function: 16 replicates of a picture with gamma noise, each changed as a faulty renderer would."""
+    rng = np.random.default_rng(7)
+
+    def replicates(picture: np.ndarray = PICTURE, change: Callable = same, *, noise: float = 0.1, count: int = 16):
+        shape = (count, *picture.shape[:2], 1)
+        return np.stack([change(picture * factor) for factor in rng.gamma(1 / noise**2, noise**2, shape)])
+
+    return replicates
+
+
+def hinted(judgement: "termwise.reports.judging.judge.Judgement") -> str:
+    assert judgement.verdict == "BIASED"
+    return judgement.hints[0].text if judgement.hints else ""
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda image: image[::-1], "ours is flipped upside down"),
+        (lambda image: image[:, ::-1], "ours is flipped left to right"),
+        (lambda image: image[::-1, ::-1], "ours is turned by 180°"),
+        (lambda image: image.swapaxes(0, 1), "ours is transposed"),
+        (lambda image: image[..., ::-1], "order BGR"),
+        (lambda image: np.pi * image, "ours is divided by π"),
+        (lambda image: image / np.pi, "ours is multiplied by π"),
+        (lambda image: 4 * image, "ours is divided by 4"),
+        (lambda image: image / 2, "ours is multiplied by 2"),
+        (lambda image: 683 * image, "ours is divided by 683"),
+        (lambda image: 1.05 * image, "one factor, 0.95"),
+        (lambda image: image ** (1 / 2.2), "it is gamma-encoded (1/2.2)"),
+        (lambda image: image**2.2, "a gamma of 2.2 was undone once too often"),
+        (lambda image: np.roll(image, (-1, 2), (0, 1)), "ours is shifted by 2 px to the left, 1 px down"),
+        (lambda image: np.minimum(image, 0.9), "the reference is clamped at 0.9"),
+        (lambda image: np.pi * image[::-1], "ours is flipped upside down and divided by π"),
+    ],
+)
+def test_a_planted_cause_is_hinted_at(draw: Draw, change: Callable, words: str):
+    text = hinted(termwise.judge(draw(change=change), draw()))
+    assert text.startswith("agrees if ")
+    assert words in text
+
+
+def test_a_border_that_is_off_is_hinted_at(draw: Draw):
+    picture = PICTURE.copy()
+    picture[-1] *= 0.6
+    assert "border alone" in hinted(termwise.judge(draw(picture, noise=0.05), draw(noise=0.05)))
+
+
+def test_the_brightest_pixels_that_are_off_are_hinted_at(draw: Draw):
+    """Two highlights, of 2304 pixels less than a thousandth, that ours has too dark."""
+    dim, right = PICTURE.copy(), PICTURE.copy()
+    for at in ((20, 21), (33, 12)):
+        dim[at], right[at] = 10.0, 20.0
+    assert "brightest pixels alone" in hinted(termwise.judge(draw(dim), draw(right)))
+
+
+def test_a_wider_filter_is_hinted_at(draw: Draw):
+    """Noise has seen the filter, too: it is the picture that is blurred."""
+    kernel = np.array([0.2, 0.6, 0.2])
+    blurred = PICTURE
+    for axis in (0, 1):
+        padded = np.pad(blurred, [(1, 1) if each == axis else (0, 0) for each in range(3)], mode="edge")
+        blurred = sum(w * np.take(padded, range(k, k + SIZE), axis) for k, w in enumerate(kernel))
+    ours = draw(np.asarray(blurred), noise=0.05)
+    assert "a wider pixel filter" in hinted(termwise.judge(ours, draw(noise=0.05)))
+    assert "a narrower pixel filter" in hinted(termwise.judge(draw(noise=0.05), ours))
+
+
+def test_a_cause_of_another_kind_has_no_hint(draw: Draw):
+    half = np.where(X[..., None] < 0.5, 1.05, 1.0)
+    assert hinted(termwise.judge(draw(PICTURE * half), draw())) == ""
+    assert termwise.judge(draw(), draw()).hints == ()
+    assert termwise.judge(draw(change=lambda image: 1.05 * image), draw(), hint=False).hints == ()
+
+
+def test_hints_within_a_mask(draw: Draw):
+    """What is outside of the mask is broken, and does not hide the cause."""
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[6:40, 4:44] = True
+
+    def inner(image: np.ndarray) -> np.ndarray:
+        return np.where(mask[..., None], image, 5.0)
+
+    judgement = termwise.judge(draw(change=lambda image: 3 * inner(image)), draw(change=inner), mask=mask)
+    assert "one factor, 0.333" in hinted(judgement)
+    assert termwise.judge(draw(change=inner), draw(), mask=mask).verdict == "EQUIVALENT"
+    assert termwise.judge(draw(change=inner), draw()).verdict == "BIASED"
+
+
+@pytest.mark.parametrize(
+    ("picture", "words"),
+    [
+        (1.02 * PICTURE, "2 % too bright, everywhere"),
+        (0.9 * PICTURE, "10 % too dark, everywhere"),
+        (0 * PICTURE, "black, everywhere"),
+        (PICTURE * np.array([1.1, 0.9, 1.0]), "wrong colours: red 10 % too bright, green 10 % too dark"),
+        (PICTURE * np.array([1.0, 1.0, 1.05]), "blue 5 % too bright"),
+        (PICTURE[::-1], "misplaced"),
+        (np.where(((X < 0.3) & (Y < 0.3))[..., None], 1.3, 1.0) * PICTURE, "most of all at tile x 0-15, y 0-15"),
+    ],
+)
+def test_a_proven_error_in_plain_words(draw: Draw, picture: np.ndarray, words: str):
+    judgement = termwise.judge(draw(picture), draw(), noiseless=True, hint=False)
+    assert judgement.verdict == "BIASED"
+    assert words in judgement.headline
+
+
+def test_other_verdicts_in_plain_words(draw: Draw):
+    assert termwise.judge(draw(), draw()).headline.startswith("agrees: off by ")
+    noisy = termwise.judge(draw(noise=3.0), draw(noise=3.0))
+    assert noisy.verdict == "UNDERPOWERED"
+    assert noisy.samples_ratio is not None
+    replicates = int(np.ceil(16 * noisy.samples_ratio))
+    assert noisy.headline.startswith("too noisy to say: needs ")
+    assert noisy.headline.endswith(f"or {replicates} replicates a side")
+    known = termwise.judge(draw(noise=3.0), draw(noise=3.0), samples=8)
+    assert known.headline == f"too noisy to say: needs {known.samples_to_margin} samples a pixel"
+    nothing = np.zeros((4, 8, 8, 3))
+    assert "nothing to compare" in termwise.judge(nothing, nothing).headline
+    broken = draw()
+    broken[3, 5, 6, 0] = np.nan
+    assert termwise.judge(broken, draw()).headline.startswith("1 values NaN or infinite, the first at x 6, y 5")
+
+
+def test_the_samples_that_are_asked_for_suffice(draw: Draw):
+    """So many times the replicates, and the verdict is another one."""
+    first = termwise.judge(draw(noise=0.5, count=8), draw(noise=0.5, count=8))
+    assert first.verdict == "UNDERPOWERED"
+    assert first.samples_ratio is not None
+    count = int(np.ceil(1.5 * 8 * first.samples_ratio))  # with them it is in 80 % of runs
+    assert termwise.judge(draw(noise=0.5, count=count), draw(noise=0.5, count=count)).verdict == "EQUIVALENT"
+
+
+def test_margin_and_level_are_those_asked_for(draw: Draw):
+    ours, reference = draw(noise=0.3), draw(noise=0.3)
+    wide, narrow = (termwise.judge(ours, reference, margin=margin) for margin in (0.02, 0.001))
+    assert (wide.verdict, narrow.verdict) == ("EQUIVALENT", "UNDERPOWERED")
+    assert "±2.00%" in wide.sentence
+    off = [termwise.judge(1.006 * ours, reference, level=level) for level in (0.2, 1e-9)]
+    assert off[0].family_low > off[1].family_low  # type: ignore[operator]
+    assert "1e-07%" in off[1].sentence
+    with pytest.raises(ValueError, match="margin"):
+        termwise.judge(ours, reference, margin=0.0)
+    with pytest.raises(ValueError, match="level"):
+        termwise.judge(ours, reference, level=1.5)
+
+
+def test_an_object_is_a_place_of_its_own(draw: Draw, tmp_path: Path):
+    """3 % on 8 x 8 of 64 x 64 pixels: 0.05 % of the mean."""
+    inside = np.zeros((64, 64), int)
+    inside[40:48, 8:16] = 5
+    flat = np.ones((64, 64, 3))
+    ours, reference = draw(np.where(inside[..., None] == 5, 1.03, 1.0) * flat, noise=0.05), draw(flat, noise=0.05)
+    np.save(tmp_path / "objects.npy", inside)
+    for objects in (inside, tmp_path / "objects.npy", str(tmp_path / "objects.npy")):
+        judgement = termwise.judge(ours, reference, objects=objects)
+        assert judgement.verdict == "BIASED"
+        assert "object 5" in judgement.reasons[0]
+    assert "object 5" in judgement.headline
+    named = termwise.judge(ours, reference, objects=inside, object_names=["", "", "", "", "", "lamp"])
+    assert "lamp" in named.headline
+
+
+def test_negative_pixels_where_they_are_allowed(draw: Draw):
+    def lobes(image: np.ndarray) -> np.ndarray:
+        image = image.copy()
+        image[::9, ::7] -= 0.6
+        image[1::9, 1::7] += 0.6
+        return image
+
+    ours, reference = draw(change=lobes), draw(change=lobes)
+    assert termwise.judge(ours, reference, allow_negative=True).verdict == "EQUIVALENT"
+    with pytest.raises(ValueError, match="--allow-negative"):
+        termwise.judge(ours, reference)
+    assert termwise.judge(ours, draw()).verdict == "BIASED"
+
+
+def test_what_holds_replicates_is_taken(draw: Draw, tmp_path: Path):
+    """Arrays, lists, files, folders: one verdict."""
+    ours, reference = draw().astype(np.float32), draw().astype(np.float32)
+    for side, stack in (("mine", ours), ("ref", reference)):
+        for k, image in enumerate(stack):
+            write_exr(tmp_path / side / f"{k:02d}.exr", {"": image}, {})
+    expected = termwise.judge(ours, reference).bias
+    files = sorted((tmp_path / "mine").iterdir())
+    for given in (list(ours), tmp_path / "mine", str(tmp_path / "mine"), files, [str(path) for path in files]):
+        assert termwise.judge(given, reference).bias == pytest.approx(expected, rel=1e-12)
+    assert termwise.judge(tmp_path / "mine", tmp_path / "ref").settings["images"][0].endswith("00.exr")
+    with pytest.raises(ValueError, match="images: holds its mean alone"):
+        termwise.judge(TermImage(PICTURE, PICTURE, 1, 4, 0.0), reference)
+
+
+def test_a_judgement_shows_itself(draw: Draw, tmp_path: Path):
+    judgement = termwise.judge(draw(change=lambda image: np.pi * image), draw())
+    assert repr(judgement) == f"<BIASED: {judgement.headline}>"
+    shown = judgement._repr_html_()
+    assert shown.count("data:image/png;base64,") == 3
+    for words in ("BIASED", "everywhere", "90 % interval", "divided by π"):
+        assert words in shown
+    assert len(shown) < 100_000
+    page = judgement.save(tmp_path / "there")
+    assert page == tmp_path / "there" / "index.html"
+    text = page.read_text("utf-8")
+    assert "divided by π" in text
+    assert 'id="viewer"' in text
+    assert len(list((tmp_path / "there" / "data" / "images").iterdir())) >= 3
+
+
+def test_the_docstring_stands_on_its_own():
+    """No reader has to look up a name that is not public."""
+    text = termwise.judge.__doc__ or ""
+    assert "measure" not in text
+    assert all(f"{name}" in text for name in ("margin", "level", "objects", "mask", "exact", "BIASED", "EQUIVALENT"))
+
+
+@pytest.mark.parametrize("name", ["a/b", "..", "a b: c", "", "é"])
+def test_a_case_has_a_folder_of_its_own_within_the_suite(name: str):
+    assert "/" not in slug(name)
+    assert slug(name).strip(".")
