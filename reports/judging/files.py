@@ -70,7 +70,9 @@ def _exr_planes(path: Path) -> np.ndarray:
 
     with OpenEXR.File(str(path), separate_channels=True) as file:
         for part in file.parts:
-            data, display = ([tuple(map(int, end)) for end in part.header[f"{name}Window"]] for name in ("data", "display"))
+            data, display = (
+                [tuple(map(int, end)) for end in part.header[f"{name}Window"]] for name in ("data", "display")
+            )
             if data != display:
                 raise ValueError("its data window is not its display window: write all of it")
         channels = {name: np.asarray(channel.pixels) for part in file.parts for name, channel in part.channels.items()}

@@ -269,13 +269,7 @@ def measure(
     found: tuple[Hint, ...] = ()
     if hint and alone.verdict == "BIASED":
         found = hints(
-            ours.stack,
-            truth.stack,
-            statistics,
-            mask=inside,
-            margin=margin,
-            level=level,
-            allow_negative=allow_negative,
+            ours.stack, truth.stack, statistics, mask=inside, margin=margin, level=level, allow_negative=allow_negative
         )
     return Measured(
         statistics=statistics,
