@@ -38,7 +38,7 @@ class _Session:
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
-        self.out = Path(config.rootpath, config.getoption("--termwise-out"))
+        self.out = Path(config.rootpath, str(config.getoption("--termwise-out")))
         self.measured: list[tuple[str, str, float, Any]] = []
         self.lines: list[str] = []
 

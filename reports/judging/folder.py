@@ -13,26 +13,18 @@ import xarray
 
 from termwise.reports.judging.judge import Judgement, Measured
 from termwise.reports.machine import versions
+from termwise.reports.pages import pictures
 from termwise.reports.results.exr import write_exr
 from termwise.reports.results.netcdf import write_netcdf
 from termwise.reports.results.schema import SCHEMA, plain
 from termwise.reports.statistics import replicates, tiles
 from termwise.scenes.store import write_atomically
 
-MIDDLE_GREY = 0.18
-"""What the mean of the reference is shown as."""
-
 
 def check_exposure(exposure: float | None) -> None:
     """Refuse an exposure that is not positive with a ValueError."""
     if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure = {exposure}: allowed is a number in (0, inf)")
-
-
-def shown_at(reference: np.ndarray) -> float:
-    """The factor on the radiance that shows the mean of a reference as middle grey."""
-    mean = float(np.mean(replicates.luminance_of(reference)))
-    return MIDDLE_GREY / mean if np.isfinite(mean) and mean > 0 else 1.0
 
 
 def keep(folder: Path, compared: Judgement | Measured, *, exposure: float | None = None, command: str = "") -> None:
@@ -49,7 +41,7 @@ def keep(folder: Path, compared: Judgement | Measured, *, exposure: float | None
     ours, truth = compared.ours, compared.reference
     if ours is None or truth is None:
         raise ValueError("the images of this comparison were not kept: allowed is what `judge` returns")
-    shown = exposure or shown_at(truth.mean)
+    shown = exposure or pictures.shown_at(truth.mean)
     dataset = xarray.Dataset(
         {
             name: (("y", "x", "channel"), values.astype(np.float32))
@@ -82,7 +74,7 @@ def publish(folder: Path, judgement: Judgement, *, command: str = "", root: str 
     from termwise.reports.pages import judge as page
 
     with h5py.File(folder / "results.nc") as kept:
-        exposure = float(kept.attrs["exposure"][0])
+        exposure = float(np.asarray(kept.attrs["exposure"]).item())
     results = plain(
         {
             "schema": SCHEMA,

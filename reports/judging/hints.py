@@ -116,17 +116,17 @@ class _Halves:
         def split(stack: np.ndarray) -> tuple[Image, Image]:
             middle = len(stack) // 2
             parts = (stack[:middle], stack[middle:]) if middle else (stack, stack)
-            first, second = (np.mean(each, axis=0, dtype=np.float64) for each in parts)
-            return (
-                (first, second) if mask is None else tuple(np.where(mask[..., None], p, 0.0) for p in (first, second))
-            )
+            first, second = (np.asarray(np.mean(each, axis=0, dtype=np.float64)) for each in parts)
+            if mask is None:
+                return first, second
+            return np.where(mask[..., None], first, 0.0), np.where(mask[..., None], second, 0.0)
 
         return cls(split(ours), split(reference))
 
     @property
     def means(self) -> tuple[Image, Image]:
         """Of each side."""
-        return sum(self.ours) / 2, sum(self.reference) / 2
+        return (self.ours[0] + self.ours[1]) / 2, (self.reference[0] + self.reference[1]) / 2
 
     def left(self, correction: Correction) -> float:
         """Mean square error that a correction leaves, without noise: a product of two halves has none in its mean."""
@@ -150,7 +150,6 @@ def hints(
     mask: np.ndarray | None = None,
     margin: float,
     level: float,
-    allow_negative: bool = False,
 ) -> tuple[Hint, ...]:
     """Simple causes that would explain why replicates are BIASED, the best first, at most three.
 
@@ -159,7 +158,7 @@ def hints(
     ours, reference : (K, H, W, 3) and (R, H, W, 3) floating, as they were judged.
     statistics : of the two.
     mask : (H, W) bool, optional
-    margin, level, allow_negative : as they were judged with.
+    margin, level : as they were judged with.
     """
     if statistics.invalid or statistics.reference_is_zero or not np.any(ours):
         return ()
@@ -168,7 +167,7 @@ def hints(
     far = _distance(statistics)
 
     def tried(correction: Correction) -> Hint | None:
-        found = _measured(correction, ours, reference, groups, mask, statistics.exact, allow_negative)
+        found = _measured(correction, ours, reference, groups, mask, statistics.exact)
         if found is None:
             return None
         verdict = rule.decide(found, tests=found.tests, margin=margin, level=level).verdict
@@ -181,7 +180,7 @@ def hints(
     singles = list(_singles(ours, *halves.means, statistics))
     if border:  # what leaves out more than the border is explained by that alone
         singles = [each for each in singles if not each.margin]
-    found = [hint for each in _promising(singles, halves) if (hint := tried(each))] + [border] * bool(border)
+    found = [hint for each in _promising(singles, halves) if (hint := tried(each))] + ([border] if border else [])
     if not found:
         means = halves.means
         pairs = [
@@ -216,7 +215,6 @@ def _measured(
     groups: list[list[slice]],
     mask: np.ndarray | None,
     exact: bool,
-    allow_negative: bool,
 ) -> Statistics | None:
     """The corrected replicates as they are judged; None where nothing of them is left."""
     if min(ours.shape[1:3]) <= 2 * correction.margin:

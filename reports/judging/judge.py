@@ -268,9 +268,7 @@ def measure(
     alone = rule.decide(statistics, tests=statistics.tests, margin=margin, level=level)
     found: tuple[Hint, ...] = ()
     if hint and alone.verdict == "BIASED":
-        found = hints(
-            ours.stack, truth.stack, statistics, mask=inside, margin=margin, level=level, allow_negative=allow_negative
-        )
+        found = hints(ours.stack, truth.stack, statistics, mask=inside, margin=margin, level=level)
     return Measured(
         statistics=statistics,
         hints=found,

@@ -68,8 +68,8 @@ def write(folder: Path, *, root: str = "") -> Path:
     row = results["verdict"]
     viewed = None
     if row["verdict"] != "ABSENT":
-        viewed = viewer.write_data(folder, _Pair(dataset, row, results["settings"]))
-        viewed |= {"against": {"own": "reference"}}
+        written = viewer.write_data(folder, _Pair(dataset, row, results["settings"]))
+        viewed = None if written is None else written | {"against": {"own": "reference"}}
     index = folder / "index.html"
     render_page(
         page_environment(),
@@ -154,10 +154,8 @@ def notebook(judgement: Any) -> str:
     ).format(ink, back, sign, judgement.verdict)
     images = Markup("")
     if judgement.ours is not None and judgement.reference is not None:
-        from termwise.reports.judging.folder import shown_at
-
         ours, reference = (np.asarray(each.mean) for each in (judgement.ours, judgement.reference))
-        exposure = shown_at(reference)
+        exposure = pictures.shown_at(reference)
         error, _ = pictures.relative_error(ours, reference)
         scale = pictures.error_scale([error])
         drawn = {

@@ -24,6 +24,8 @@ from termwise.scenes.store import write_atomically
 
 QUANTILE = 0.99
 """Share of the pixels whose error lies within the scale."""
+MIDDLE_GREY = 0.18
+"""What the mean of a reference is shown as where no exposure is known."""
 INVALID = np.array([255, 0, 255], np.uint8)
 """Colour of a pixel that is NaN or infinite: found in no exposure of a real scene by chance."""
 MAP_SIZE = 512
@@ -55,6 +57,12 @@ def display(radiance: np.ndarray, *, exposure: float, gamma: float | None = None
     encoded = encode(np.where(valid, radiance, 0.0), exposure=exposure, gamma=gamma)
     shown = np.round(255 * encoded).astype(np.uint8)
     return np.where(valid, shown, INVALID)
+
+
+def shown_at(reference: np.ndarray) -> float:
+    """The exposure at which the mean of a reference is middle grey."""
+    mean = float(np.mean(np.asarray(reference, np.float64) @ LUMINANCE))
+    return MIDDLE_GREY / mean if np.isfinite(mean) and mean > 0 else 1.0
 
 
 def relative_error(ours: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, float]:
