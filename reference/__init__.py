@@ -16,7 +16,9 @@ import attrs
 import numpy as np
 
 from termwise.scenes import reads
-from termwise.scenes.limits import Limit
+from termwise.scenes.arguments import seed_of, whole
+from termwise.scenes.limits import Limit, named
+from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import PHOTONS, TABLE, Term, TermImage
 
@@ -29,31 +31,41 @@ _SECOND: tuple[Term, ...] = ("ambient", "direct", "specular")
 
 
 def render(
-    scene: Scene,
-    limit: Limit,
+    scene: Scene | str | Path,
+    limit: Limit | Term,
     *,
-    spp: int,
-    seed: int,
+    spp: int = 16,
+    seed: int = 0,
     replicates: int = 1,
+    keep: bool = True,
     progress: Callable[[], object] | None = None,
 ) -> TermImage:
     """Render a term's integral with Mitsuba.
 
     Parameters
     ----------
-    scene, limit : the scene and the integral that is meant.
+    scene : a scene, the name of one of the library, or the path of a scene file.
+    limit : the integral that is meant; a term's name means what the scene does by it (`scenes.limits.named`), to which
+        the default variant of `termwise.render` converges.
     spp : samples per pixel and replicate; with a kernel, photon maps.
-    seed : equal seeds give equal bits on one backend.
-    replicates : independent repetitions; the variance needs at least two.
+    seed : in [0, 2^64 - 1]; equal seeds give equal bits on one backend.
+    replicates : independent repetitions; the variance needs at least two, and `judge` takes 4 or more.
+    keep : whether the replicates are kept beside their mean, as `judge` needs them; R images in place of two.
     progress : called after each replicate.
+
+    Returns
+    -------
+    The image, its variance and its replicates: radiance, linear Rec. 709, in the scene's unit.
 
     Raises
     ------
-    ValueError : `spp` or `replicates` below 1.
+    ValueError : an unknown term, a count or a seed that is none, a scene that single precision cannot hold. A scene
+        that cannot be loaded is a `FileError`, which is one too.
     reference.backend.BackendError : Mitsuba cannot run here.
     """
-    if replicates < 1:
-        raise ValueError(f"replicates = {replicates}: allowed is at least 1")
+    spp, replicates, seed = whole("spp", spp), whole("replicates", replicates), seed_of(seed)
+    scene = load(scene)
+    limit = limit if isinstance(limit, Limit) else named(limit, scene)
     compile_kernels(scene, limit)
     begin = time.perf_counter()
     images = []
@@ -61,7 +73,7 @@ def render(
         images.append(replicate(scene, limit, spp=spp, seed=seed, replicate=number))
         if progress:
             progress()
-    return TermImage.from_replicates(np.array(images), samples=spp, seconds=time.perf_counter() - begin)
+    return TermImage.from_replicates(np.array(images), samples=spp, seconds=time.perf_counter() - begin, keep=keep)
 
 
 def replicate(scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int = 0) -> np.ndarray:
@@ -81,8 +93,7 @@ def replicate_parts(
 
     `by_second`: by another integrator that means the same, with random numbers of its own; see `has_second`.
     """
-    if spp < 1:
-        raise ValueError(f"spp = {spp}: allowed is at least 1")
+    spp = whole("spp", spp)
     here = loaded(scene)
     number = rng_seed(limit, seed, replicate, by_second=by_second)
     images = here.render(attrs.asdict(limit), spp=spp, seed=number, by_second=by_second)

@@ -5,12 +5,15 @@ scene needs.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
-from termwise.renderer.engine import Engine, whole
+from termwise.renderer.engine import Engine
 from termwise.renderer.photon_map import KEPT_BYTES
 from termwise.renderer.terms import DEFAULTS, VARIANTS, Chain, Variant, find
+from termwise.scenes.arguments import seed_of, whole
+from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TermImage
 
@@ -18,7 +21,7 @@ __all__ = ["DEFAULTS", "VARIANTS", "Engine", "Variant", "find", "render", "rende
 
 
 def render(
-    scene: Scene,
+    scene: Scene | str | Path,
     term: str,
     *,
     variant: str | None = None,
@@ -28,28 +31,34 @@ def render(
     chain: Chain = "next-event",
     threads: int | None = None,
     adaptive: bool = False,
+    keep: bool = True,
 ) -> TermImage:
     """Render one term.
 
     Parameters
     ----------
-    scene : the scene.
+    scene : a scene, the name of one of the library, or the path of a scene file.
     term : one of `scenes.terms.TERMS`: "ambient", "direct", "specular" or "background".
     variant : the estimator; the term's default without a name.
     samples : samples per pixel and replicate; powers of two keep the points well spread.
-    replicates : independent repetitions; 2 or more give a variance.
-    seed : equal seeds give equal bits, for any number of threads.
+    replicates : independent repetitions; 2 or more give a variance, and `judge` takes 4 or more.
+    seed : in [0, 2^64 - 1]; equal seeds give equal bits, for any number of threads.
     chain : what the other terms are at the vertices of a specular chain, see `renderer.terms.variant.Chain`.
     threads : None: one a core.
     adaptive : whether a pilot, which is then discarded, gives more samples to the noisier tiles.
+    keep : whether the replicates are kept beside their mean, as `judge` needs them; K images in place of two.
+
+    Returns
+    -------
+    The image, its variance and its replicates: radiance, linear Rec. 709, in the scene's unit.
 
     Raises
     ------
-    ValueError : an unknown term or variant, a count below 1, adaptive counts with photon maps; the message lists what
-        is allowed.
+    ValueError : an unknown term or variant, a count or a seed that is none, adaptive counts with photon maps; the
+        message lists what is allowed. A scene that cannot be loaded is a `FileError`, which is one too.
     """
     images = render_terms(
-        scene,
+        load(scene),
         {term: variant},
         samples=samples,
         replicates=replicates,
@@ -57,6 +66,7 @@ def render(
         chain=chain,
         threads=threads,
         adaptive=adaptive,
+        keep=keep,
     )
     return images[term]
 
@@ -71,6 +81,7 @@ def render_terms(
     chain: Chain = "next-event",
     threads: int | None = None,
     adaptive: bool = False,
+    keep: bool = False,
     report: Callable[[str, int, int], None] = lambda term, done, total: None,
 ) -> dict[str, TermImage]:
     """Render several terms, the same bits as one by one; see `render`.
@@ -84,9 +95,7 @@ def render_terms(
     variants : the estimator of each term to render; None: the term's default.
     report : called with (what runs, samples done, samples of all terms and replicates), first before a term compiles.
     """
-    if replicates < 1:
-        raise ValueError(f"replicates = {replicates}: allowed is at least 1")
-    samples = whole(samples)
+    samples, replicates, seed = whole("samples", samples), whole("replicates", replicates), seed_of(seed)
     estimators = {term: find(term, variant) for term, variant in variants.items()}
     images: dict[str, list[np.ndarray]] = {term: [] for term in variants}
     seconds = dict.fromkeys(variants, 0.0)
@@ -108,6 +117,6 @@ def render_terms(
                 images[term].append(image)
                 seconds[term] += spent
     return {
-        term: TermImage.from_replicates(np.stack(images[term]), samples=samples, seconds=seconds[term])
+        term: TermImage.from_replicates(np.stack(images[term]), samples=samples, seconds=seconds[term], keep=keep)
         for term in variants
     }

@@ -32,6 +32,7 @@ from termwise.renderer.rng import root, stream
 from termwise.renderer.scratch import COUNTERS, NOTHING_SEEN, SEEN_BYTES, Scratch, Seen, new_scratch, new_seen
 from termwise.renderer.terms.estimator import Cancelled, Compiled, Prefix, Progress, Request
 from termwise.renderer.terms.variant import Chain, Stored, Variant
+from termwise.scenes.arguments import whole
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE, TERMS, Term
 
@@ -71,15 +72,6 @@ def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int, split: in
     end = np.maximum(1, np.floor(last * share)).astype(int)
     item = np.array(tiles, np.int64).reshape(-1, 4)
     return np.column_stack([item, begin, end, np.full(len(tiles), split)])
-
-
-def whole(samples: int) -> int:
-    """The samples a pixel as an integer; a ValueError where they are none, or below 1."""
-    if not isinstance(samples, int | np.integer):
-        raise ValueError(f"samples = {samples!r}: allowed is an integer of at least 1")
-    if samples < 1:
-        raise ValueError(f"samples = {samples}: allowed is at least 1")
-    return int(samples)
 
 
 class _Task(NamedTuple):
@@ -122,8 +114,7 @@ class Engine:
         kept_bytes: int = 0,
         pixel: tuple[int, int] | None = None,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads = {threads}: allowed is at least 1")
+        threads = (os.cpu_count() or 1) if threads is None else whole("threads", threads)
         if adaptive and pixel is not None:
             raise ValueError("pixel with adaptive = True: allowed is one of them, the pilot needs the whole image")
         allowed = *SKIPS, *REDUCTIONS
@@ -133,7 +124,6 @@ class Engine:
         self.scene = scene
         self.without = frozenset(without)
         self.arrays: SceneArrays = from_scene(scene, without=self.without)
-        threads = threads or os.cpu_count() or 1
         self.pool = ThreadPoolExecutor(threads)
         self.compile_seconds = 0.0
         # One of each thread, made once: 14 µs each, a tenth of a tile of 32 x 32 pixels at one sample.
@@ -231,7 +221,7 @@ class Engine:
         ValueError : `samples` below 1, an option that the variant would ignore, or adaptive counts with a photon map a
             sample.
         """
-        samples = whole(samples)
+        samples = whole("samples", samples)
         check(self.scene, variant, chain=chain)
         request = Request(
             samples=samples,

@@ -14,17 +14,61 @@ where `weight = color * (1 - gloss)`. With `rings` N the integral over the hemis
 finite resolution. A variant of the renderer names its Limit; the reference renders Limits and knows no variants.
 """
 
-from typing import Literal
+import math
+from numbers import Real
+from typing import Any, Literal
 
 import attrs
 
-from termwise.scenes.model import Scope
+from termwise.scenes.arguments import whole
+from termwise.scenes.model import Scene, Scope
 from termwise.scenes.terms import TABLE, Term
 
 KernelShape = Literal["simpson", "epanechnikov", "uniform", "nearest"]
 
 
-@attrs.frozen
+def _factor(default: float = 1.0) -> Any:
+    """A finite number >= 0, kept as a float: equal limits have equal seeds."""
+
+    def validate(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+        if not (isinstance(value, float) and 0.0 <= value < math.inf):
+            raise ValueError(f"{attribute.name} = {value!r}: allowed is a number in [0, inf)")
+
+    def plain(value: Any) -> Any:
+        return float(value) if isinstance(value, Real) and not isinstance(value, bool) else value
+
+    return attrs.field(default=default, converter=plain, validator=validate)
+
+
+def _choice(*allowed: Any, **default: Any) -> Any:
+    """One of a few values."""
+
+    def validate(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+        if not any(type(value) is type(each) and value == each for each in allowed):
+            raise ValueError(f"{attribute.name} = {value!r}: allowed are {', '.join(map(repr, allowed))}")
+
+    return attrs.field(validator=validate, **default)
+
+
+def _count(default: int | None, low: int) -> Any:
+    """An integer of at least `low`, or the default."""
+
+    def validate(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+        if value != default or isinstance(value, bool):
+            whole(attribute.name, value, low)
+
+    return attrs.field(default=default, validator=validate)
+
+
+def _changed(value: Any) -> str:
+    """`Limit('direct', scope='all')`: the first field, and those that are not as they are by default."""
+    first, *others = attrs.fields(type(value))
+    shown = [repr(getattr(value, first.name))]
+    shown += [f"{each.name}={item!r}" for each in others if (item := getattr(value, each.name)) != each.default]
+    return f"{type(value).__name__}({', '.join(shown)})"
+
+
+@attrs.frozen(repr=False)
 class Kernel:
     """A photon density estimate: its expectation over independent maps is what is meant, its own bias included.
 
@@ -47,17 +91,30 @@ class Kernel:
         light is scattered with the grey albedo P.
     """
 
-    shape: KernelShape
-    stored: Literal["scattered", "all"] = "all"
-    radius: float = 0.0
-    passes: int = 1
-    nearest: int = 0
-    photons: int = 0
-    scale: float = 1.0
-    weighted: bool = True
+    shape: KernelShape = _choice("simpson", "epanechnikov", "uniform", "nearest")
+    stored: Literal["scattered", "all"] = _choice("scattered", "all", default="all")
+    radius: float = _factor(0.0)
+    passes: int = _count(1, 1)
+    nearest: int = _count(0, 2)
+    photons: int = _count(0, 1)
+    scale: float = _factor()
+    weighted: bool = _choice(True, False, default=True)
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse a kernel without its size."""
+        if self.shape != "nearest" and self.radius == 0.0:
+            raise ValueError(f"shape = {self.shape!r}, radius = 0.0: allowed is a number in (0, inf)")
+        if self.shape == "nearest" and 0 in (self.nearest, self.photons):
+            raise ValueError(
+                f"shape = 'nearest', nearest = {self.nearest}, photons = {self.photons}: allowed are at least 2 and 1"
+            )
+
+    def __repr__(self) -> str:
+        """The fields that are not as they are by default."""
+        return _changed(self)
 
 
-@attrs.frozen
+@attrs.frozen(repr=False)
 class Limit:
     """Which integral is meant.
 
@@ -82,20 +139,42 @@ class Limit:
     transport : "decomposed" | "physical"
         `decomposed`: the paper's operator above. `physical`: full light transport with all lights
         visible to every lobe, split by the lobe sampled at the camera vertex.
+
+    Raises
+    ------
+    ValueError : a term that is none, "total" among them, a value that is not allowed, a field that means nothing to the
+        term.
     """
 
     term: Term
-    occluded: bool = True
-    scope: Scope | None = None
-    factor: float = 1.0
-    lobe: float = 1.0
-    diffuse: float = 0.0
-    cosine: Literal["incident", "outgoing"] = "incident"
-    ambient: float = 1.0
-    rings: int | None = None
+    occluded: bool = _choice(True, False, default=True)
+    scope: Scope | None = _choice("first-hit", "all", None, default=None)
+    factor: float = _factor()
+    lobe: float = _factor()
+    diffuse: float = _factor(0.0)
+    cosine: Literal["incident", "outgoing"] = _choice("incident", "outgoing", default="incident")
+    ambient: float = _factor()
+    rings: int | None = _count(None, 1)
     kernel: Kernel | None = None
-    shadows: Literal["physical", "paper"] = "physical"
-    transport: Literal["decomposed", "physical"] = "decomposed"
+    shadows: Literal["physical", "paper"] = _choice("physical", "paper", default="physical")
+    transport: Literal["decomposed", "physical"] = _choice("decomposed", "physical", default="decomposed")
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse what no image is the integral of."""
+        if not isinstance(self.term, str) or self.term not in TABLE:
+            raise ValueError(f"term = {self.term!r}: allowed are {', '.join(TABLE)}")
+        if not isinstance(self.kernel, Kernel | None):
+            raise ValueError(f"kernel = {self.kernel!r}: allowed is a Kernel or None")
+        row = TABLE[self.term]
+        for field in attrs.fields(Limit):
+            value = getattr(self, field.name)
+            if field.name not in ("term", "factor", "transport", *row.limit) and value != field.default:
+                allowed = ", ".join(("factor", "transport", *row.limit))
+                raise ValueError(f"{field.name} = {value!r}: means nothing to {self.term}: allowed are {allowed}")
+
+    def __repr__(self) -> str:
+        """The fields that are not as they are by default."""
+        return _changed(self)
 
 
 def correct(term: Term, scope: Scope) -> Limit:
@@ -106,3 +185,19 @@ def correct(term: Term, scope: Scope) -> Limit:
 def physical(term: Term) -> Limit:
     """The term's share of full light transport, split at the camera vertex."""
     return Limit(term, transport="physical")
+
+
+def named(term: Term, scene: Scene) -> Limit:
+    """What a term's name means in a scene, to which the default variant of its term converges.
+
+    The true integral, but for what the scene chooses: its scope, its shadows, and photons that scatter on the specular
+    lobe too, whose direct term is its share of full light transport.
+
+    Raises
+    ------
+    ValueError : a term that is none.
+    """
+    plain = correct(Limit(term).term, scene.scope)
+    if term == "direct" and scene.scope == "all" and scene.photons.scattering == "full":
+        return physical(term)
+    return attrs.evolve(plain, shadows=scene.shadows if "shadows" in TABLE[term].limit else "physical")

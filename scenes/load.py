@@ -25,13 +25,15 @@ def library() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in LIBRARY.glob("*.toml")))
 
 
-def load(scene: str | Path) -> model.Scene:
-    """Load a scene of the library by name, or any scene file by path.
+def load(scene: str | Path | model.Scene) -> model.Scene:
+    """Load a scene of the library by name, or any scene file by path; a scene is given back as it is.
 
     Raises
     ------
     FileError : a missing or malformed file, an unknown key, a value out of range, a mesh that is none.
     """
+    if isinstance(scene, model.Scene):
+        return scene
     path = LIBRARY / f"{scene}.toml" if str(scene) in library() else Path(scene)
     if path.suffix != ".toml":
         raise FileError(f"{scene}: no such scene: allowed are {', '.join(library())} or a path that ends in .toml")

@@ -68,7 +68,7 @@ class Material:
 BLACK_SURFACE = Material(color=BLACK, gloss=0.0)
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen(eq=False, repr=False)
 class Mesh:
     """Triangles, rounded to float32 once so that both sides see the same geometry.
 
@@ -109,6 +109,11 @@ class Mesh:
             raise ValueError("mesh has no area: allowed is at least one triangle that has")
         normals = _vertex_normals(vertices, faces) if smooth else None
         return cls(vertices, faces, normals)
+
+    def __repr__(self) -> str:
+        """Its size, in one line."""
+        shading = "flat" if self.normals is None else "smooth"
+        return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} faces, {shading})"
 
     def centroid(self) -> Vector:
         """Centre of mass of the surface."""
@@ -183,7 +188,9 @@ class Sky:
     """
 
     color: Color = attrs.field(default=BLACK, validator=non_negative)
-    texture: np.ndarray | None = None
+    texture: np.ndarray | None = attrs.field(
+        default=None, repr=lambda texels: "None" if texels is None else f"<{texels.shape[1]} x {texels.shape[0]}>"
+    )
     center: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
     radius: float = attrs.field(default=100.0, validator=in_range(0.0, open_low=True))
     projection: Literal["equal-area", "lat-long"] = "equal-area"
@@ -301,7 +308,7 @@ class Toggles:
     reflections: bool = True
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen(eq=False, repr=False)
 class Scene:
     """Everything that is rendered. Immutable; `attrs.evolve` makes variations.
 
@@ -357,6 +364,16 @@ class Scene:
                         f"objects: {thing.name!r}: normals = 'smooth': allowed is 'flat' where the scene has normals = "
                         "'face'"
                     )
+
+    def __repr__(self) -> str:
+        """Its name and size, in one line."""
+        faces = sum(len(thing.mesh.faces) for thing in self.objects)
+        lamps = sum(thing.emits for thing in self.objects)
+        width, height = self.resolution
+        return (
+            f"Scene({self.name!r}, {len(self.objects)} objects of {faces} faces, {lamps} of them lamps, "
+            f"{len(self.lights)} point lights, {width} x {height})"
+        )
 
     @property
     def aspect(self) -> float:

@@ -4,12 +4,16 @@
 row here and a file a side, `renderer/terms/<name>.py` and `reference/terms/<name>.py`.
 """
 
+import base64
 import functools
+import html
+import io
 import operator
 from collections.abc import Callable, Collection
 
 import attrs
 import numpy as np
+import PIL.Image
 
 from termwise.scenes import reads
 from termwise.scenes.model import BLACK, Color, Material, Scene
@@ -218,6 +222,7 @@ class TermImage:
     samples : samples per pixel and replicate.
     replicates : independent replicates (own seed each, own photon maps) behind `mean`.
     seconds : wall-clock seconds, compilation excluded.
+    images : (K, H, W, 3) floating, the replicates themselves, which `judge` takes; None where they were not kept.
     """
 
     mean: np.ndarray
@@ -225,10 +230,11 @@ class TermImage:
     samples: int
     replicates: int
     seconds: float
+    images: np.ndarray | None = None
 
     @classmethod
-    def from_replicates(cls, images: np.ndarray, *, samples: int, seconds: float) -> "TermImage":
-        """Mean and variance of the mean of `images` (K, H, W, 3), accumulated in float64."""
+    def from_replicates(cls, images: np.ndarray, *, samples: int, seconds: float, keep: bool = False) -> "TermImage":
+        """Mean and variance of the mean of `images` (K, H, W, 3), accumulated in float64; `keep` the images too."""
         count = len(images)
         mean = np.asarray(np.mean(images, axis=0, dtype=np.float64))
         # Image by image: `np.var` would hold the distances of all of them at once, in float64.
@@ -236,7 +242,36 @@ class TermImage:
         for image in images:
             squares += (image - mean) ** 2
         variance = squares / (count - 1) / count if count > 1 else np.full_like(mean, np.nan)
-        return cls(mean, variance, samples, count, seconds)
+        return cls(mean, variance, samples, count, seconds, images if keep else None)
+
+    def __repr__(self) -> str:
+        """Size, mean with its standard error, samples and time, in one line."""
+        height, width = self.mean.shape[:2]
+        mean = f"{self.mean.mean():.4g}"
+        if self.images is not None and self.replicates > 1:
+            each = self.images.mean(axis=(1, 2, 3), dtype=np.float64)
+            mean += f" ± {each.std(ddof=1) / np.sqrt(self.replicates):.1g}"
+        kept = "" if self.images is None else ", kept"
+        return (
+            f"TermImage({width} x {height}, mean {mean}, {self.samples} samples x {self.replicates} replicates{kept}, "
+            f"{self.seconds:.3g} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        """The picture as a notebook shows it: sRGB, its 99th percentile at 1, small ones enlarged; and `repr`."""
+        height, width = self.mean.shape[:2]
+        top = max(float(np.percentile(np.nan_to_num(self.mean), 99.0)), np.finfo(float).tiny)
+        linear = np.clip(np.nan_to_num(self.mean) / top, 0.0, 1.0)
+        encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        png = io.BytesIO()
+        PIL.Image.fromarray(np.rint(encoded * 255.0).astype(np.uint8)).save(png, "png")
+        content = base64.b64encode(png.getvalue()).decode()
+        wide = width * max(1, 256 // max(width, height))
+        return (
+            f'<figure style="margin: 0"><img alt="" src="data:image/png;base64,{content}" '
+            f'style="width: {wide}px; max-width: 100%; image-rendering: pixelated">'
+            f"<figcaption><code>{html.escape(repr(self))}</code></figcaption></figure>"
+        )
 
 
 def total(*images: np.ndarray) -> np.ndarray:

@@ -630,12 +630,12 @@ def test_one_pixel_and_one_photon(busy):
     [
         ({"term": "glow"}, "term = 'glow': allowed are ambient, direct, specular, background"),
         ({"variant": "best"}, "variant = 'best' of ambient: allowed are cosine, uniform, paper, paper-loop, constant"),
-        ({"samples": 0}, "samples = 0: allowed is at least 1"),
-        ({"samples": -4}, "samples = -4: allowed is at least 1"),
+        ({"samples": 0}, "samples = 0: allowed is an integer of at least 1"),
+        ({"samples": -4}, "samples = -4: allowed is an integer of at least 1"),
         ({"samples": 2.5}, "samples = 2.5: allowed is an integer of at least 1"),
         ({"chain": "photons"}, "chain = 'photons': allowed are next-event, path, paper"),
-        ({"replicates": 0}, "replicates = 0: allowed is at least 1"),
-        ({"threads": 0}, "threads = 0: allowed is at least 1"),
+        ({"replicates": 0}, "replicates = 0: allowed is an integer of at least 1"),
+        ({"threads": 0}, "threads = 0: allowed is an integer of at least 1"),
         ({"seed": -1}, "seed = -1: allowed is an integer in"),
     ],
 )

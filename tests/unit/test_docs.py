@@ -9,11 +9,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import attrs
 import numpy as np
 import pytest
 
 import termwise
 from termwise.reports import cli
+from termwise.scenes import load
+from termwise.scenes.model import Ambient, Camera, Photons, PointLight, Toggles
 from termwise.scenes.store import ROOT
 
 README = ROOT / "README.md"
@@ -151,3 +154,16 @@ def test_the_walk_through(tmp_path: Path):
 def test_public_names_are_in_the_manual():
     text = (ROOT / "docs" / "python.md").read_text("utf-8")
     assert [name for name in termwise.__all__ if f"termwise.{name}" not in text] == []
+
+
+def test_every_field_of_a_scene_file_is_in_the_manual():
+    """By its path; those of a shape in the table of shapes."""
+    text = (ROOT / "docs" / "scenes.md").read_text("utf-8")
+    shapes = {field.name for kind in load._SHAPES.values() for field in attrs.fields(kind)}
+    placed = {field.name for field in attrs.fields(load._Placed)}
+    kinds = {"camera": Camera, "ambient": Ambient, "sky": load._SkyFile, "photons": Photons, "toggles": Toggles}
+    paths = {f"{name}.{field.name}" for name, kind in kinds.items() for field in attrs.fields(kind)}
+    paths |= {f"lights.{field.name}" for field in attrs.fields(PointLight)} | {f"objects.{name}" for name in placed}
+    paths |= {field.name for field in attrs.fields(load._SceneFile)} - {*kinds, "lights", "objects"} | shapes - placed
+    assert len(paths) > 50
+    assert {path for path in paths if f"`{path}`" not in text} == set()
