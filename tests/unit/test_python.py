@@ -81,7 +81,8 @@ def test_impossible_kernels_are_refused(fields, message):
 
 def test_equal_limits_have_equal_seeds():
     """A whole number, or NumPy's, is the float that it equals: another name would have other random numbers."""
-    same = [Limit("ambient", factor=factor) for factor in (2, 2.0, np.float64(2.0), np.int64(2))]
+    factors: tuple[Any, ...] = (2, 2.0, np.float64(2.0), np.int64(2))
+    same = [Limit("ambient", factor=factor) for factor in factors]
     assert len({reference.rng_seed(limit, 1, 0) for limit in same}) == 1
 
 
