@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Literal
 
 import attrs
 import numpy as np
-import trimesh
 
 from termwise.scenes import images, meshes, model, strict
 from termwise.scenes.strict import FileError
@@ -86,8 +85,10 @@ class _Placed:
         return model.Object(self.name, mesh, self.material(), self.emission)
 
     def _rotation(self) -> np.ndarray:
+        from trimesh import transformations  # here, as below: it takes seconds to load, and `judge` reads no shapes
+
         about_x, about_y, about_z = (math.radians(angle) for angle in self.rotation)
-        return trimesh.transformations.euler_matrix(about_x, about_y, about_z, "sxyz")[:3, :3]
+        return transformations.euler_matrix(about_x, about_y, about_z, "sxyz")[:3, :3]
 
 
 @attrs.frozen(kw_only=True)
@@ -116,7 +117,9 @@ class _Box(_Placed):
     size: model.Vector = attrs.field(validator=model.positive)
 
     def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
-        box = trimesh.creation.box(extents=self.size)
+        from trimesh import creation
+
+        box = creation.box(extents=self.size)
         return box.vertices, box.faces
 
 
@@ -129,7 +132,9 @@ class _Sphere(_Placed):
     subdivisions: int = attrs.field(default=3, validator=model.in_range(0, 8))
 
     def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
-        sphere = trimesh.creation.icosphere(subdivisions=self.subdivisions, radius=self.radius)
+        from trimesh import creation
+
+        sphere = creation.icosphere(subdivisions=self.subdivisions, radius=self.radius)
         return sphere.vertices, sphere.faces
 
 

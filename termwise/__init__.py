@@ -33,6 +33,8 @@ _HOMES = {
 _EXTRAS = {
     "numba": "render",
     "nicegui": "render",
+    "matplotlib": "render",
+    "skimage": "render",
     "mitsuba": "reference",
     "drjit": "reference",
     "distributed": "cluster",

@@ -9,7 +9,6 @@ image scores worse than a smooth wrong one): that is the verdict's task.
 import warnings
 
 import numpy as np
-from skimage.metrics import structural_similarity
 
 SSIM_WINDOW = 11
 """Side in pixels of the Gaussian window (standard deviation 1.5, cut at 3.5 of them)."""
@@ -70,6 +69,8 @@ def ssim(reference: np.ndarray, image: np.ndarray, *, exposure: float) -> float:
     ------
     ValueError : for unequal or other shapes, a value that is not finite, or an exposure that is not positive.
     """
+    from skimage.metrics import structural_similarity  # here: pages without it should not wait for it, nor need it
+
     reference, image = _pair(reference, image)
     if reference.ndim != 3 or reference.shape[2] != 3 or min(reference.shape[:2]) < SSIM_WINDOW:
         raise ValueError(f"ssim: images are (H, W, 3) with H and W ≥ {SSIM_WINDOW}, not {reference.shape}")

@@ -65,6 +65,21 @@ def test_importing_it_loads_no_more_than_numpy(theirs: Path):
     assert loaded == []
 
 
+def test_the_judge_command_waits_for_no_mesh_no_metric_no_figure(theirs: Path):
+    heavy = (*HEAVY, "trimesh", "colour", "skimage", "matplotlib")
+    loaded = run(
+        theirs,
+        "from termwise.reports import cli, judging",
+        "from termwise.reports.cli import judging",
+        "from termwise.reports.pages import judge, pictures",
+        "from termwise.scenes.images import replicates",
+        "import numpy as np",
+        "pictures.display(np.ones((2, 2, 3)), exposure=1.0)",
+        f"print(json.dumps([name for name in {heavy} if name in sys.modules]))",
+    )
+    assert loaded == []
+
+
 def test_public_names_are_ours_beside_modules_of_the_same_names(theirs: Path):
     homes = run(
         theirs,
