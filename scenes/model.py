@@ -9,10 +9,14 @@ what is allowed. Lengths are in scene units, angles in degrees, radiance in one 
 
 import hashlib
 import math
-from typing import Any, Literal
+import numbers
+from collections.abc import Callable
+from typing import Any, Literal, cast
 
 import attrs
 import numpy as np
+
+from termwise.scenes import coincident
 
 Vector = tuple[float, float, float]
 Color = tuple[float, float, float]
@@ -47,6 +51,41 @@ finite = in_range(-math.inf, open_low=True, open_high=True)
 _count = in_range(1, 2**31 - 1)
 
 
+def _plain(kind: type, value: Any, field: Any) -> Any:
+    """A number, whatever made it, as Python's own: what goes on to the kernels has one type."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
+        _refuse(field, value, "a number")
+    number = float(value)
+    if kind is float or not math.isfinite(number):
+        return number  # whether it is in range the validator says
+    if int(number) != value:
+        _refuse(field, value, "an integer")
+    return int(number)
+
+
+def _converter(convert: Callable[[Any, Any], Any]) -> Callable[[Any], Any]:
+    """A converter that knows its field; attrs calls it with both, type checkers believe in one argument."""
+    return cast(Any, attrs.Converter(convert, takes_field=True))
+
+
+def _several(kind: type, count: int) -> Callable[[Any], Any]:
+    """Converter of `count` numbers in a tuple, list or array."""
+
+    def convert(values: Any, field: Any) -> tuple[Any, ...]:
+        if not isinstance(values, tuple | list | np.ndarray) or np.ndim(values) != 1 or len(values) != count:
+            _refuse(field, values, f"{count} numbers")
+        return tuple(_plain(kind, value, field) for value in values)
+
+    return _converter(convert)
+
+
+_number = _converter(lambda value, field: _plain(float, value, field))
+_integer = _converter(lambda value, field: _plain(int, value, field))
+_triple = _several(float, 3)
+
+
 @attrs.frozen
 class Material:
     """Diffuse `color * (1 - gloss)` under a Cook-Torrance lobe weighted by `gloss`.
@@ -59,10 +98,10 @@ class Material:
     f0 : Schlick's reflectance at normal incidence, in [0, 1] per channel.
     """
 
-    color: Color = attrs.field(default=(0.8, 0.8, 0.8), validator=unit_interval)
-    gloss: float = attrs.field(default=0.0, validator=unit_interval)
-    roughness: float = attrs.field(default=0.5, validator=in_range(1e-4, 1.5))
-    f0: Color = attrs.field(default=(0.04, 0.04, 0.04), validator=unit_interval)
+    color: Color = attrs.field(converter=_triple, default=(0.8, 0.8, 0.8), validator=unit_interval)
+    gloss: float = attrs.field(converter=_number, default=0.0, validator=unit_interval)
+    roughness: float = attrs.field(converter=_number, default=0.5, validator=in_range(1e-4, 1.5))
+    f0: Color = attrs.field(converter=_triple, default=(0.04, 0.04, 0.04), validator=unit_interval)
 
 
 BLACK_SURFACE = Material(color=BLACK, gloss=0.0)
@@ -149,7 +188,7 @@ class Object:
     name: str
     mesh: Mesh
     material: Material = Material()
-    emission: Color = attrs.field(default=BLACK, validator=non_negative)
+    emission: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
 
     @property
     def emits(self) -> bool:
@@ -166,8 +205,8 @@ class Object:
 class PointLight:
     """A point that radiates `intensity` (radiance x area) in every direction."""
 
-    position: Vector = attrs.field(validator=finite)
-    intensity: Color = attrs.field(validator=non_negative)
+    position: Vector = attrs.field(converter=_triple, validator=finite)
+    intensity: Color = attrs.field(converter=_triple, validator=non_negative)
 
 
 @attrs.frozen(eq=False)
@@ -187,12 +226,12 @@ class Sky:
     projection : "equal-area" is the paper's v; "lat-long", `v = acos(n.z) / pi`, is that of usual panoramas.
     """
 
-    color: Color = attrs.field(default=BLACK, validator=non_negative)
+    color: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
     texture: np.ndarray | None = attrs.field(
         default=None, repr=lambda texels: "None" if texels is None else f"<{texels.shape[1]} x {texels.shape[0]}>"
     )
-    center: Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=finite)
-    radius: float = attrs.field(default=100.0, validator=in_range(0.0, open_low=True))
+    center: Vector = attrs.field(converter=_triple, default=(0.0, 0.0, 0.0), validator=finite)
+    radius: float = attrs.field(converter=_number, default=100.0, validator=in_range(0.0, open_low=True))
     projection: Literal["equal-area", "lat-long"] = "equal-area"
 
     @property
@@ -205,8 +244,8 @@ class Sky:
 class Ambient:
     """The ambient light L_a0, and the distance beyond which nothing occludes it (`range`)."""
 
-    color: Color = attrs.field(default=BLACK, validator=non_negative)
-    range: float = attrs.field(default=math.inf, validator=in_range(0.0, open_low=True))
+    color: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
+    range: float = attrs.field(converter=_number, default=math.inf, validator=in_range(0.0, open_low=True))
 
 
 @attrs.frozen
@@ -216,11 +255,13 @@ class Camera:
     `corner` is the paper's top-left corner, `centre` the middle, `jitter` a random point (default).
     """
 
-    position: Vector = attrs.field(validator=finite)
-    target: Vector = attrs.field(validator=finite)
-    up: Vector = attrs.field(default=(0.0, 0.0, 1.0), validator=finite)
-    fov: float = attrs.field(default=45.0, validator=in_range(0.0, 180.0, open_low=True, open_high=True))
-    near: float = attrs.field(default=0.1, validator=positive)
+    position: Vector = attrs.field(converter=_triple, validator=finite)
+    target: Vector = attrs.field(converter=_triple, validator=finite)
+    up: Vector = attrs.field(converter=_triple, default=(0.0, 0.0, 1.0), validator=finite)
+    fov: float = attrs.field(
+        converter=_number, default=45.0, validator=in_range(0.0, 180.0, open_low=True, open_high=True)
+    )
+    near: float = attrs.field(converter=_number, default=0.1, validator=positive)
     pixel: Literal["corner", "centre", "jitter"] = "jitter"
 
     def __attrs_post_init__(self) -> None:
@@ -285,12 +326,14 @@ class Photons:
         specular term keeps "diffuse", which its integral means.
     """
 
-    count: int = attrs.field(default=50_000, validator=_count)
-    radius: float = attrs.field(default=0.05, validator=positive)
-    nearest: int = attrs.field(default=50, validator=in_range(2, 2**31 - 1))
+    count: int = attrs.field(converter=_integer, default=50_000, validator=_count)
+    radius: float = attrs.field(converter=_number, default=0.05, validator=positive)
+    nearest: int = attrs.field(converter=_integer, default=50, validator=in_range(2, 2**31 - 1))
     kernel: Literal["simpson", "epanechnikov", "uniform"] = "simpson"
     survival: float | None = attrs.field(
-        default=None, validator=attrs.validators.optional(in_range(0.0, 1.0, open_low=True))
+        converter=attrs.converters.optional(_number),
+        default=None,
+        validator=attrs.validators.optional(in_range(0.0, 1.0, open_low=True)),
     )
     scattering: Literal["diffuse", "full"] = "diffuse"
 
@@ -336,10 +379,12 @@ class Scene:
     sky: Sky = attrs.field(factory=Sky)
     photons: Photons = Photons()
     toggles: Toggles = Toggles()
-    resolution: tuple[int, int] = attrs.field(default=(128, 128), validator=in_range(1, 65536))
-    exposure: float = attrs.field(default=1.0, validator=positive)
-    max_bounces: int = attrs.field(default=2, validator=in_range(0, 64))
-    rings: int = attrs.field(default=16, validator=in_range(1, 65536))
+    resolution: tuple[int, int] = attrs.field(
+        converter=_several(int, 2), default=(128, 128), validator=in_range(1, 65536)
+    )
+    exposure: float = attrs.field(converter=_number, default=1.0, validator=positive)
+    max_bounces: int = attrs.field(converter=_integer, default=2, validator=in_range(0, 64))
+    rings: int = attrs.field(converter=_integer, default=16, validator=in_range(1, 65536))
     scope: Scope = "all"
     shadows: Literal["physical", "paper"] = "physical"
     irradiance: Literal["E / pi", "E"] = "E / pi"
@@ -349,7 +394,7 @@ class Scene:
     draw_lights: bool = False
 
     def __attrs_post_init__(self) -> None:
-        """Refuse two objects of one name: verdicts are reported by object."""
+        """Refuse two objects of one name, for verdicts are reported by object; and faces that are one in two looks."""
         names = [thing.name for thing in self.objects]
         for name in names:
             if name in ("", "image"):  # the name of the whole picture, as a region
@@ -364,6 +409,9 @@ class Scene:
                         f"objects: {thing.name!r}: normals = 'smooth': allowed is 'flat' where the scene has normals = "
                         "'face'"
                     )
+        coincident.check_camera(self.objects, self.camera.position)
+        # Frozen but for this: what lies over an equal face is no part of what is rendered.
+        object.__setattr__(self, "objects", coincident.counted_once(self.objects, self.camera.position))
 
     def __repr__(self) -> str:
         """Its name and size, in one line."""

@@ -4,6 +4,7 @@ Rationale: TOML itself has nan and inf, cattrs takes "0.5" for a number, and tri
 """
 
 import math
+import re
 from pathlib import Path
 
 import attrs
@@ -402,3 +403,57 @@ def test_an_emitter_is_black():
     assert lamp.emits
     assert lamp.surface.color == (0.0, 0.0, 0.0)
     assert lamp.surface.gloss == 0.0
+
+
+NUMBERS = {
+    "integers": (Material((1, 1, 1), 0, 1, (0, 1, 0)), Material((1.0, 1.0, 1.0), 0.0, 1.0, (0.0, 1.0, 0.0))),
+    "numpy": (
+        Material(np.array([0.5, 0.25, 1.0], np.float32), np.float64(0.5), np.float32(0.5), list(np.ones(3, np.int64))),
+        Material((0.5, 0.25, 1.0), 0.5, 0.5, (1.0, 1.0, 1.0)),
+    ),
+    "lights": (PointLight((0, np.int32(1), 2), [1, 2, 3]), PointLight((0.0, 1.0, 2.0), (1.0, 2.0, 3.0))),
+    "ambient": (Ambient((1, 0, 0), np.int64(2)), Ambient((1.0, 0.0, 0.0), 2.0)),
+    "sky": (Sky((1, 1, 0), None, (0, 0, 1), 5), Sky((1.0, 1.0, 0.0), None, (0.0, 0.0, 1.0), 5.0)),
+    "camera": (
+        Camera((0, 0, 1), np.zeros(3, int), [0, 1, 0], 45, 1),
+        Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 45.0, 1.0),
+    ),
+    "photons": (Photons(np.int64(5), 1, 7.0, survival=1), Photons(5, 1.0, 7, survival=1.0)),
+    "scene": (
+        Scene(
+            "s",
+            Camera((0, 0, 1), (0, 0, 0), (0, 1, 0)),
+            resolution=np.array([3, 4]),
+            exposure=2,
+            max_bounces=np.int8(1),
+        ),
+        Scene("s", Camera((0, 0, 1), (0, 0, 0), (0, 1, 0)), resolution=(3, 4), exposure=2.0, max_bounces=1),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_number_is_pythons_own_whatever_made_it(name):
+    """Integers where a float is meant, numpy's scalars and arrays: types and all are those of plain numbers."""
+    given_so, plain = NUMBERS[name]
+    assert repr(given_so) == repr(plain)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Material(0.5), "color = 0.5: allowed is 3 numbers"),
+        (lambda: Material((1.0, 1.0)), "color = (1.0, 1.0): allowed is 3 numbers"),
+        (lambda: Material("abc"), "color = 'abc': allowed is 3 numbers"),
+        (lambda: Material((1.0, 1.0, True)), "color = True: allowed is a number"),
+        (lambda: Material(gloss=1j), "gloss = 1j: allowed is a number"),
+        (lambda: Material((math.nan, 0, 0)), "color = (nan, 0.0, 0.0): allowed is a number in [0, 1]"),
+        (lambda: Photons(count=1.5), "count = 1.5: allowed is an integer"),
+        (lambda: Photons(count=math.inf), "count = inf: allowed is a number in [1, 2.14748e+09]"),
+        (lambda: Photons(survival="1"), "survival = '1': allowed is a number"),
+    ],
+)
+def test_what_is_no_number_is_refused_by_name(make, message):
+    """Classes of the model, used from Python: the message of a file, less the file."""
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        make()
