@@ -80,7 +80,7 @@ def replicate(scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int
     """One independent estimate of a term: (H, W, 3) float32 radiance, weights inside, linear Rec. 709.
 
     `seed` and `replicate` name the random numbers: equal pairs give equal bits on one backend, and no two
-    replicates of a seed share any. Unbiased but for the path depth (see `reference.terms.direct`).
+    replicates of a seed share any. Unbiased.
     """
     parts = replicate_parts(scene, shared(scene, limit), spp=spp, seed=seed, replicate=replicate)
     return scaled(parts[limit.term], limit)

@@ -93,7 +93,6 @@ def export(
     renders = {}
     for name, limit in limits.items():
         served = reference.shared(scene, limit)
-        loaded.render(attrs.asdict(served), spp=1, seed=0)  # finds the path depth, which the description then holds
         renders[name] = {
             "limit": attrs.asdict(served),
             "part": reference.parts(served).index(limit.term),

@@ -14,7 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .terms import ambient, direct
+from . import paths, rays
+from .terms import ambient
 
 
 def serves(loaded: Any, limit: dict[str, Any]) -> bool:
@@ -30,6 +31,8 @@ def serves(loaded: Any, limit: dict[str, Any]) -> bool:
         and limit["shadows"] == "physical"
         and description["has_lights"]
     ):
+        if not rays.plain(loaded) or not (limit["scope"] == "first-hit" or paths.sound(loaded, "direct")):
+            return False
         # The film would show a light's surface, or with hidden emitters what is behind it; ours is black.
         return not any(shape.is_emitter() for shape in loaded.scenes["direct"].shapes())
     return False
@@ -45,7 +48,7 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
 
     if limit["term"] == "ambient":
         return image(loaded.scenes["ambient"], ambient.INTEGRATOR)
-    return image(loaded.scenes["direct"], direct.integrator(direct.depth_of(loaded, limit)))
+    return image(loaded.scenes["direct"], paths.built_in(first_hit=limit["scope"] == "first-hit"))
 
 
 def sensor(camera: dict[str, Any], spp: int, sampler: str = "independent") -> Any:

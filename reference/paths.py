@@ -1,43 +1,72 @@
-"""Paths lit at every vertex by light sampling and by lobe sampling, weighted by the power heuristic (Veach 1997).
+"""Paths of any length, lit at every vertex by light sampling and by lobe sampling (power heuristic, Veach 1997).
 
-What Mitsuba's `path` integrator computes, with rays and shadow rays of our own making, see `rays`. No roulette: the
-survival probability of Mitsuba's, capped at 0.95, has infinite variance for albedos above 0.975.
+What Mitsuba's `path` integrator computes, with rays and shadow rays of our own making, see `rays`, and with a roulette
+that is sound for every albedo: a path of throughput t lives with probability `q = min(t / FAINT, 1)` and is divided by
+it, so that t never grows, and the mean is that of all paths, however long. Mitsuba's own, `q = min(t, 0.95)`, lets
+t² / q grow for ever where the albedo is above 0.975 and no light gets out: its variance is infinite there.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from . import rays
-from .wavefront import idle, meets_surface
+from .wavefront import idle, meets_surface, pixel_means
+
+FAINT = 0.1
+FIRST_HIT, ENDLESS = 1, 2**32 - 1  # vertices
+# Mitsuba's roulette: where its throughput never exceeds 1, and the depth from which it plays.
+SOUND, START = 0.95, 8
+LONGEST = 2**14  # vertices after which all but the tail of the light has to be gone
+TAIL = 5e-4
 
 
-def reflected(scene: Any, depth: int) -> Any:
+def sound(loaded: Any, role: str) -> bool:
+    """Whether the variance of Mitsuba's `path` is finite in the scene of a role."""
+    return loaded.description["reflected"][role] <= SOUND
+
+
+def built_in(*, first_hit: bool) -> dict[str, Any]:
+    """Describe Mitsuba's `path`: camera to surface to light alone, or of any length."""
+    return {"type": "path"} | ({"max_depth": 2, "rr_depth": 3} if first_hit else {"max_depth": -1, "rr_depth": START})
+
+
+def reflected(loaded: Any, role: str, *, first_hit: bool = False) -> Callable[[Any, Any, Any], Any]:
     """(ray, sampler, active) -> light that is reflected at least once, none emitted along the ray, mi.Color3f.
 
-    `depth` : segments of the longest paths, that of the camera and that to the light included. Surfaces of lights are
-    black and end a path.
+    `role` : of the scene. `first_hit` : once alone. Surfaces of lights are black and end a path.
     """
+    scene = loaded.scenes[role]
+    if not first_hit:
+        check_end(loaded, role)
 
     def radiance(ray: Any, sampler: Any, active: Any) -> Any:
-        return _followed(scene, depth, ray, sampler, active)
+        return _followed(scene, FIRST_HIT if first_hit else ENDLESS, ray, sampler, active)
 
     return radiance
 
 
+def survival(throughput: Any, faint: float) -> Any:
+    """Probability that a path goes on."""
+    return dr.minimum(dr.max(throughput) / faint, 1.0)
+
+
 @dr.syntax
-def _followed(scene: Any, depth: int, ray: Any, sampler: Any, active: Any) -> Any:
+def _followed(scene: Any, most: int, ray: Any, sampler: Any, active: Any) -> Any:
     si = scene.ray_intersect(ray, active)
     active = mi.Bool(active & meets_surface(si))
     throughput, color = mi.Color3f(1.0), mi.Color3f(0.0)
-    vertices, last = mi.UInt32(1), dr.opaque(mi.UInt32, depth)
+    vertices, last = mi.UInt32(0), dr.opaque(mi.UInt32, most)
     while active:
         light, weight, _, si, active = vertex(scene, si, sampler, active)
         color += throughput * light
         throughput *= weight
         vertices += 1
-        active &= (vertices < last) & meets_surface(si)
+        alive = survival(throughput, FAINT)
+        active &= (vertices < last) & meets_surface(si) & (sampler.next_1d(active) < alive)
+        throughput *= dr.select(active, dr.rcp(alive), 0.0)
     return color
 
 
@@ -75,3 +104,42 @@ def vertex(scene: Any, si: Any, sampler: Any, active: Any) -> tuple[Any, Any, An
 def _power_heuristic(a: Any, b: Any) -> Any:
     ratio = b / dr.maximum(a, 1e-20)
     return dr.select(a > 0.0, dr.rcp(1.0 + ratio * ratio), 0.0)
+
+
+def check_end(loaded: Any, role: str) -> None:
+    """Refuse a scene in which light goes on for ever, or as good as: its paths would not end.
+
+    Raises
+    ------
+    ValueError : how much of the light is left after how many reflections.
+    """
+    reflected = loaded.description["reflected"][role]
+    if reflected**LONGEST < TAIL or role in loaded.ending:
+        return
+    scene = loaded.scenes[role]
+    side, spp = (8, 2) if dr.is_jit_v(mi.Float) else (4, 1)
+    camera = loaded.description["camera"] | {"resolution": [side, side]}
+    share = float(pixel_means(lambda s: (_left(scene, s.ray, s.sampler),), camera, spp=spp, seed=0).mean())
+    if share > TAIL:
+        raise ValueError(
+            f"objects: color: up to {reflected:g} of the light is reflected, and {100 * share:.2g} % of it is left "
+            f"after {LONGEST} reflections: allowed is less where no light gets out"
+        )
+    loaded.ending.add(role)
+
+
+@dr.syntax
+def _left(scene: Any, ray: Any, sampler: Any) -> Any:
+    """What is left of a path's throughput after `LONGEST` vertices."""
+    context = mi.BSDFContext()
+    si = scene.ray_intersect(ray)
+    active = mi.Bool(meets_surface(si))
+    throughput = mi.Color3f(dr.select(active, 1.0, 0.0))
+    vertices, last = mi.UInt32(0), dr.opaque(mi.UInt32, LONGEST)
+    while active:
+        bs, weight = si.bsdf().sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+        si = scene.ray_intersect(rays.spawn(si, si.to_world(bs.wo)), active)
+        throughput *= dr.select(meets_surface(si), weight, 0.0)
+        vertices += 1
+        active &= (vertices < last) & dr.any(throughput != 0.0)
+    return throughput

@@ -15,7 +15,6 @@ import drjit as dr
 import mitsuba as mi
 
 from . import paths
-from .terms import direct
 from .wavefront import Estimator, Samples, idle
 
 # Of each term, the roles of the lobe at the camera vertex and of what lights it.
@@ -27,17 +26,16 @@ PARTS = {
 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
-    """Samples -> (ambient, direct, specular); unbiased but for the depth of the paths, see `direct.TAIL`."""
-    depth = direct.sufficient_depth(loaded, "physical")
-    parts = [
-        (loaded.scenes[lobe], loaded.scenes[light], paths.reflected(loaded.scenes[light], depth))
-        for lobe, light in PARTS.values()
-    ]
+    """Samples -> (ambient, direct, specular); unbiased."""
+    parts = []
+    for lobe, light in PARTS.values():
+        lit = loaded.scenes[light]
+        parts.append((loaded.scenes[lobe], lit, paths.reflected(loaded, light) if lit.emitters() else None))
 
     def estimate(samples: Samples) -> tuple[Any, ...]:
         images = []
         for lobe_scene, lit_scene, reflected in parts:
-            if not lit_scene.emitters():
+            if reflected is None:
                 images.append(mi.Color3f(0.0))
                 continue
             color, weight, ray, active = _camera_vertex(lobe_scene, lit_scene, samples)

@@ -17,9 +17,10 @@ class Loaded:
 
     Attributes
     ----------
-    description : as `translate.describe` gives it, with `depths` added as they are found.
+    description : as `translate.describe` gives it.
     scenes : the Mitsuba scene of each role.
     compiled : limits whose kernels were compiled.
+    ending : roles in whose scenes light was seen to end, see `paths.check_end`.
     sky : (ray, active) -> mi.Color3f, what a ray that misses all geometry sees.
     """
 
@@ -35,6 +36,7 @@ class Loaded:
         shared: dict[str, Any] = {}
         self.description = description
         self.compiled: set[Any] = set()
+        self.ending: set[str] = set()
         self.sky = sky.radiance(located["sky"])
         # optimize=False: Mitsuba would merge meshes of equal materials, and face numbers would be lost.
         self.scenes = {

@@ -1,7 +1,7 @@
 """Second integrators: the same integrals by other sampling, which the references themselves are audited by.
 
 - ambient: directions uniform on the hemisphere, `2 mu hit(w)`, nearest hits in the place of occlusion rays;
-- direct: paths that light sampling alone lights, in the place of Mitsuba's `path` with its two strategies;
+- direct: paths that light sampling alone lights, in the place of two strategies, with a roulette that begins elsewhere;
 - specular: directions from an even mixture of cosine and lobe, `f mu / ((p_lobe + mu / pi) / 2)`, in the place of the
   lobe's own weight, and the second integrators above at the vertices.
 
@@ -17,9 +17,11 @@ from . import rays
 from .terms import ambient, direct, specular
 from .wavefront import Estimator, idle
 
+FAINT = 0.5  # the throughput below which the roulette plays: another than that of the references
+
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
-    """Samples -> (term,); unbiased but for the depth of `direct`, which is that of the first integrator."""
+    """Samples -> (term,); unbiased."""
     if limit["term"] == "specular":
         parts = [(limit["ambient"], _ambient(loaded, limit)), (1.0, _direct(loaded, limit))]
         return specular.gathered(specular.segments(loaded, limit, _mixture(loaded, limit)), parts)
@@ -53,9 +55,9 @@ def _direct(loaded: Any, limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray."""
     if not loaded.description["has_lights"]:
         return lambda ray, sampler, active: mi.Color3f(0.0)
-    depth = direct.depth_of(loaded, limit)
+    most = direct.longest(loaded, limit)
     factor = dr.opaque(mi.Float, loaded.description["irradiance_factor"])
-    return lambda ray, sampler, active: factor * direct.followed(loaded, depth, ray, sampler, active)
+    return lambda ray, sampler, active: factor * direct.followed(loaded, most, FAINT, ray, sampler, active)
 
 
 def _mixture(loaded: Any, limit: dict[str, Any]) -> Any:

@@ -77,10 +77,21 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "normals": scene.normals,
         "max_bounces": scene.max_bounces if scene.toggles.reflections else 0,
         "has_lights": scene.has_lights,
+        "reflected": {role: _reflected(scene, role) for role in get_args(Role)},
         "light_centres": [[canonical.points(centre).tolist(), thing] for centre, thing in scene.light_centres],
         "emission": [list(thing.emission) if scene.draw_lights else [0.0] * 3 for thing in scene.objects],
         "scenes": {role: _scene(scene, role, canonical) for role in get_args(Role)},
     }
+
+
+def _reflected(scene: Scene, role: Role) -> float:
+    """The largest share of light, in any channel, that a surface of a role throws back, or a bound of it."""
+    glossy = role not in ("color", "diffuse", "ambient", "direct")
+    shares = [
+        max(scene.diffuse_weight(thing.surface)) + glossy * scene.specular_weight(thing.surface)
+        for thing in scene.objects
+    ]
+    return max(shares, default=0.0)
 
 
 def _check_sizes(scene: Scene) -> None:

@@ -11,16 +11,12 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import paths, rays
-from ..wavefront import Estimator, Samples, meets_surface, pixel_means
+from ..wavefront import Estimator, Samples, meets_surface
 from . import shadows
-
-FIRST_HIT = 2  # segments: camera to surface, surface to light
-DEPTHS = (2, 4, 8, 16, 32, 64, 128, 256)
-TAIL = 5e-4
 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
-    """Samples -> (direct term,); unbiased but for the tail beyond the depth, below 0.05 % of the image."""
+    """Samples -> (direct term,); unbiased."""
 
     def estimate(samples: Samples) -> tuple[Any]:
         return (radiance(samples.ray, samples.sampler, True),)
@@ -33,9 +29,10 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses or meets a light's surface."""
     if not loaded.description["has_lights"]:
         return lambda ray, sampler, active: mi.Color3f(0.0)
-    depth = depth_of(loaded, limit)
-    by_path = paths.reflected(loaded.scenes["direct"], depth)
-    radiance = by_path if rays.plain(loaded) else functools.partial(followed, loaded, depth)
+    if rays.plain(loaded):
+        radiance = paths.reflected(loaded, "direct", first_hit=limit["scope"] == "first-hit")
+    else:
+        radiance = functools.partial(followed, loaded, longest(loaded, limit), paths.FAINT)
     factor = dr.opaque(mi.Float, loaded.description["irradiance_factor"])
     dark = shadows.rule(loaded, limit, "diffuse")
 
@@ -50,13 +47,16 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
 
 
 @dr.syntax
-def followed(loaded: Any, depth: int, ray: Any, sampler: Any, active: Any) -> Any:
-    """As `paths.reflected`, by the scene's own rays and normals, lit by light sampling alone."""
+def followed(loaded: Any, most: int, faint: float, ray: Any, sampler: Any, active: Any) -> Any:
+    """As `paths.reflected`, by the scene's own rays and normals, lit by light sampling alone.
+
+    A path has at most so many vertices, and below the throughput `faint` the roulette plays for it.
+    """
     scene = loaded.scenes["direct"]
     si = scene.ray_intersect(ray, active)
     active = mi.Bool(active & meets_surface(si))
     throughput, color = mi.Color3f(1.0), mi.Color3f(0.0)
-    vertices, last = mi.UInt32(1), dr.opaque(mi.UInt32, depth)
+    vertices, last = mi.UInt32(0), dr.opaque(mi.UInt32, most)
     while active:
         throughput *= si.bsdf().eval_diffuse_reflectance(si, active)
         side = rays.side(loaded, si)
@@ -68,43 +68,15 @@ def followed(loaded: Any, depth: int, ray: Any, sampler: Any, active: Any) -> An
         local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
         _, si = rays.leave(loaded, scene, si, rays.spawn(si, si.to_world(side * local)), active)
         vertices += 1
-        active &= (vertices < last) & meets_surface(si)
+        alive = paths.survival(throughput, faint)
+        active &= (vertices < last) & meets_surface(si) & (sampler.next_1d(active) < alive)
+        throughput *= dr.select(active, dr.rcp(alive), 0.0)
     return color
 
 
-def depth_of(loaded: Any, limit: dict[str, Any]) -> int:
-    """Path depth that the scope of a limit needs."""
-    return FIRST_HIT if limit["scope"] == "first-hit" else sufficient_depth(loaded, "direct")
-
-
-def integrator(depth: int) -> dict[str, Any]:
-    """Describe Mitsuba's `path`, its roulette off."""
-    return {"type": "path", "max_depth": depth, "rr_depth": depth + 1}
-
-
-def sufficient_depth(loaded: Any, role: str) -> int:
-    """Smallest power of two whose image differs from that of twice the depth by less than `TAIL` of its mean.
-
-    Equal seeds give paths with equal beginnings, so that the difference is the tail itself, not noise. The
-    depth is kept in the description.
-    """
-    depths = loaded.description.setdefault("depths", {})
-    if role in depths:
-        return depths[role]
-    side, spp = (48, 16) if dr.is_jit_v(mi.Float) else (16, 8)
-    camera = loaded.description["camera"] | {"resolution": [side, side]}
-
-    def mean(depth: int) -> float:
-        radiance = paths.reflected(loaded.scenes[role], depth)
-        image = pixel_means(lambda s: (radiance(s.ray, s.sampler, True),), camera, spp=spp, seed=0)
-        return float(image.mean())
-
-    depths[role] = DEPTHS[-1]
-    shallow = mean(DEPTHS[0])
-    for depth, twice in zip(DEPTHS, DEPTHS[1:], strict=False):
-        deep = mean(twice)
-        if deep - shallow <= TAIL * deep:
-            depths[role] = depth
-            break
-        shallow = deep
-    return depths[role]
+def longest(loaded: Any, limit: dict[str, Any]) -> int:
+    """The most vertices of a path that the scope of a limit has."""
+    if limit["scope"] == "first-hit":
+        return paths.FIRST_HIT
+    paths.check_end(loaded, "direct")
+    return paths.ENDLESS

@@ -18,7 +18,7 @@ from . import ambient, direct, shadows
 
 
 def estimator(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = ambient.RAYS) -> Estimator:
-    """Samples -> (specular term,); unbiased but for the depth of `direct`, which `kernel_reference` adds itself."""
+    """Samples -> (specular term,); unbiased but for `direct` with a kernel, which `kernel_reference` adds itself."""
     # What the other terms are does not vary with the specular variant.
     plain = limit | {"rings": None}
     terms = [(limit["ambient"], ambient.incoming(loaded, plain, occlusion_rays=occlusion_rays))]

@@ -5,7 +5,7 @@ A setting is a sampler and an integrator:
 - ambient: n occlusion rays (`ray_test`), drawn by the cosine, share a camera ray's hit. Mitsuba has no such integrator
   for a finite range, and its `direct` asks for the nearest hit where any will do.
 - direct, `first-hit`: `direct` with n emitter samples a camera ray and none of the BSDF.
-- direct, `all`: `path` in the Lambertian twin, as deep as the reference, without roulette or with Mitsuba's own.
+- direct, `all`: `path` in the Lambertian twin, of any length, its roulette from the eighth vertex on or from Mitsuba's.
 - specular: the reference's chain, its diffuse terms estimated at one vertex, with n occlusion rays there.
 
 Seconds are those of the kernels, by Dr.Jit's own history: `mi.render` traces its program anew at each call, and
@@ -26,8 +26,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from termwise.reference import paths
 from termwise.reference.film import sensor
-from termwise.reference.terms import direct, specular
+from termwise.reference.terms import specular
 from termwise.reference.wavefront import UNBOUNDED, Samples
 from termwise.scenes.limits import Limit
 
@@ -38,8 +39,8 @@ SHARED = (1, 4, 16)
 OCCLUSION = (1, 4)
 # Samples a pixel that are asked for; a sampler rounds them up to what it can spread.
 LADDER = tuple(4**power for power in range(9))
-# Depth from which roulette may end a path: never, or Mitsuba's default.
-_ROULETTE = {"": 2**20, "rr": 5}
+# Depth from which roulette may end a path: that of the film's references, or Mitsuba's default.
+_ROULETTE = {"": paths.START, "rr": 5}
 
 
 class Occlusion(mi.SamplingIntegrator):
@@ -163,9 +164,8 @@ def settings(loaded: Any, limit: Limit) -> Iterator[Setting]:
         }
     else:
         role = "direct"
-        depth = direct.depth_of(loaded, attrs.asdict(limit))
         integrators = {
-            name: mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": start, "hide_emitters": True})
+            name: mi.load_dict({"type": "path", "max_depth": -1, "rr_depth": start, "hide_emitters": True})
             for name, start in _ROULETTE.items()
         }
     for sampler in SAMPLERS:
