@@ -24,7 +24,7 @@ import numpy as np
 
 from termwise.reference import store
 from termwise.renderer import find
-from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.accumulation import BORDERS, measure
 from termwise.reports.statistics.rule import decide
 from termwise.reports.statistics.verdict import WORDS
 from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
@@ -36,10 +36,12 @@ from tests.verdict.synthetic import RUN
 REPLICATES = 16
 """K = R."""
 _TRUTH_SAMPLES, _FEWEST, _TRUTH_MAPS = 512 * 32**2, 64, 4
-TESTS = ("mean", "shape", "place", "check", "test")
-"""What may catch a fault; `check` is an error that names what is wrong, or a pixel that no radiance can be."""
+TESTS = ("mean", "shape", "place", "border", "said", "check", "test")
+"""What may catch a fault; `said` is an error that the sentence calls proven and too small, `check` an error that names
+what is wrong, or a pixel that no radiance can be.
+"""
 BIASED = WORDS["right"][0]
-REFUSED, FAILED, PASSED = "REFUSED", "FAILED", "PASSED"
+REFUSED, SAID, FAILED, PASSED = "REFUSED", "SAID", "FAILED", "PASSED"
 _RENDERED = "renderer", "scenes"
 _COPIED = *_RENDERED, "reference", "reports", "termwise", "tests"
 _FAILURE = 1  # exit status of pytest where tests fail, and nothing else is wrong
@@ -51,7 +53,8 @@ class Judged:
 
     Attributes
     ----------
-    verdict : the row's word; REFUSED where an error stands in its place; of a test FAILED or PASSED.
+    verdict : the row's word; REFUSED where an error stands in its place; SAID where the fault is too small for the
+        verdict, and its sentence says so; of a test FAILED or PASSED.
     by : those of TESTS that speak against it.
     text : the sentence, or the error.
     bias, standard_error : of the image's luminance, relative; None where there is none.
@@ -66,7 +69,7 @@ class Judged:
     @property
     def caught(self) -> bool:
         """Proven or refused; UNDERPOWERED is neither."""
-        return self.verdict in (BIASED, REFUSED, FAILED)
+        return self.verdict in (BIASED, REFUSED, SAID, FAILED)
 
 
 def judge(ours: np.ndarray, truth: np.ndarray) -> Judged:
@@ -77,6 +80,7 @@ def judge(ours: np.ndarray, truth: np.ndarray) -> Judged:
         return Judged(REFUSED, ("check",), str(error))
     verdict = decide(statistics, tests=RUN)
     by = {_test(reason) for reason in verdict.reasons} if verdict.verdict == BIASED else set()
+    by |= {"said"} if verdict.tolerated else set()
     return Judged(
         str(verdict.verdict),
         tuple(test for test in TESTS if test in by),
@@ -88,7 +92,7 @@ def judge(ours: np.ndarray, truth: np.ndarray) -> Judged:
 
 def _test(reason: str) -> str:
     """Which test a reason of the verdict comes from."""
-    opening = {"mean of": "mean", "shape over": "shape", "tile": "place"}
+    opening = {"mean of": "mean", "shape over": "shape", "tile": "place", **dict.fromkeys(BORDERS, "border")}
     return next((test for words, test in opening.items() if reason.startswith(words)), "check")
 
 
@@ -257,7 +261,9 @@ def run(
                     assert isinstance(by, Case)
                     result = judge(result, truths[by])
                 if plant is not None:
-                    found[plant.name] = result
+                    # Not where the same is said without the fault.
+                    said = plant.tolerated and "said" in result.by and "said" not in controls[plant.shown].by
+                    found[plant.name] = attrs.evolve(result, verdict=SAID) if said else result
                 else:
                     controls |= dict.fromkeys((by,) if isinstance(by, Case) else by, result)
         finally:

@@ -33,6 +33,7 @@ class Plant:
     Attributes
     ----------
     shown : the case whose verdict is to catch it, or the test.
+    tolerated : whether the verdict tolerates what is so small, if its sentence says that it is proven.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Plant:
     path: str
     before: str
     after: str
+    tolerated: bool = False
 
     def changed(self, root: Path) -> str:
         """The file's text with the fault in it.
@@ -70,8 +72,8 @@ METAL = Case("metal cornell_box", "specular", "vndf", samples=128)
 OUTDOORS = Case("glossy two_cubes", "specular", "vndf", samples=512)
 BACKGROUND = Case("two_cubes", "background", "seen", samples=32)
 # As large as the library's pictures: a border or a small object is a small part of them.
-WIDE = Case("two_cubes", "direct", "path", samples=8, side=128)
-DIM = Case("metal cornell_box", "specular", "vndf", samples=16, side=128)
+WIDE = Case("two_cubes", "direct", "path", samples=1, side=128)
+DIM = Case("metal cornell_box", "specular", "vndf", samples=4, side=128)
 FEW = Case("cornell_box_unshadowed", "direct", "next-event", samples=2)
 SMOOTH = Case("smooth monkey", "direct", "path", samples=64)
 FAINT = Case("faint cornell_box", "specular", "vndf", samples=256)
@@ -429,6 +431,7 @@ PLANTS = (
         _SKY,
         "x = u * sky.texture.shape[1] - 0.5",
         "x = u * sky.texture.shape[1]",
+        tolerated=True,
     ),
     Plant(
         "specular: roulette without 1/p",
@@ -473,13 +476,6 @@ PLANTS = (
         _TILES,
         "np.maximum(1, np.floor(first * share)), 0)",
         "np.maximum(1, np.floor(first * share)) - 1, 0)",
-    ),
-    Plant(
-        "passes: one photon map for all",
-        PHOTON_MAP,
-        _TILES,
-        "photons = self._shared(task, key, number, self._unless(cancel))",
-        "photons = self._shared(task, key, 0, self._unless(cancel))",
     ),
     Plant(
         "passes: a radius that does not shrink",
@@ -634,8 +630,8 @@ PLANTS = (
         "smooth normals: corners shared by no weight",
         SMOOTH,
         _MODEL,
-        "np.add.at(normals, faces[:, corner], weighted)",
-        "normals[faces[:, corner]] = weighted",
+        "np.add.at(normals, places[faces[:, corner]], weighted)",
+        "normals[places[faces[:, corner]]] = weighted",
     ),
     Plant(
         "scene file: rotations about the turned axes",

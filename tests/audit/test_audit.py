@@ -256,7 +256,7 @@ def test_results_and_page(tmp_path, monkeypatch):
     assert history.fallen(entry, entry) == []
     page = command.write(tmp_path, results).read_text("utf-8")
     assert json.loads((tmp_path / "results.json").read_text("utf-8")) == results
-    console = Console(width=200, record=True)
+    console = Console(width=300, record=True)
     command.show(console, results)
     table = console.export_text()
     for plant in ALL:
