@@ -26,18 +26,28 @@ _CANDIDATES = 2**22  # entries of one k-nearest search: bounds memory
 
 
 class Faces(NamedTuple):
-    """Triangles of all objects in one list; `corners` (F, 3, 3), unit `normals` (F, 3), `object` (F,) index."""
+    """Triangles of all objects in one list.
+
+    Attributes
+    ----------
+    corners : (F, 3, 3)
+    normals : (F, 3), unit.
+    object : (F,) index.
+    smooth : (F,) bool, whether the normals that light falls on are interpolated.
+    """
 
     corners: np.ndarray
     normals: np.ndarray
     object: np.ndarray
+    smooth: np.ndarray
 
 
-def faces(corners: np.ndarray, owner: np.ndarray) -> Faces:
-    """Faces with their unit geometric normals, zero without an area."""
+def faces(corners: np.ndarray, owner: np.ndarray, smooth: np.ndarray | None = None) -> Faces:
+    """Faces with their unit geometric normals, zero without an area; flat ones if nothing is said."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return Faces(corners, np.divide(normals, length, out=np.zeros_like(normals), where=length > 0), owner)
+    unit = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    return Faces(corners, unit, owner, np.zeros(len(owner), bool) if smooth is None else smooth)
 
 
 class Points(NamedTuple):
@@ -48,11 +58,13 @@ class Points(NamedTuple):
     position : (N, 3) float64, on the surface.
     face : (N,) index into the faces.
     side : (N,) +1 where the viewer is on the side that the face's normal points to, else -1.
+    normal : (N, 3), unit: the one that light falls on, turned to the viewer; the face's own where it is flat.
     """
 
     position: np.ndarray
     face: np.ndarray
     side: np.ndarray
+    normal: np.ndarray
 
 
 class Photons(NamedTuple):
@@ -80,7 +92,8 @@ def _tree(photons: Photons) -> KDTree:
 def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, radius: float) -> np.ndarray:
     """E by a kernel of a radius, (N, 3); unbiased for constant E on the faces within the radius.
 
-    A photon counts on the point's own object, on faces of its surface (`same_surface`), on the viewer's side.
+    A photon counts on the point's own object, on faces of its surface (`same_surface`), on the viewer's side. Its flux
+    through a face with interpolated normals is weighed by the cosine at x over that at the face.
     """
     shares = mass(faces, points, shape=shape, radius=radius)
     pairs = KDTree(points.position).sparse_distance_matrix(_tree(photons), radius, output_type="ndarray")
@@ -91,6 +104,10 @@ def by_kernel(faces: Faces, points: Points, photons: Photons, *, shape: str, rad
     point, photon, distance = point[counts], photon[counts], pairs["v"][counts]
     power = POWERS[shape]
     weight = (power + 1) * (1 - (distance / radius) ** 2) ** power / (np.pi * radius**2)
+    if faces.smooth.any():
+        at_point = np.einsum("px,px->p", photons.direction[photon], points.normal[point])
+        ratio = np.maximum(at_point, 0.0) / np.abs(arrival[photon])
+        weight = weight * np.where(faces.smooth[photons.face[photon]], ratio, 1.0)
     flux = photons.power[photon] * weight[:, None]
     sums = [np.bincount(point, flux[:, channel], len(points.face)) for channel in range(3)]
     return np.stack(sums, axis=-1) / shares[:, None]
@@ -146,14 +163,13 @@ def _angle(d: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     return np.arctan2(d * (end - begin), d**2 + begin * end)
 
 
-def by_nearest(faces: Faces, points: Points, photons: Photons, *, nearest: int, scale: float) -> np.ndarray:
+def by_nearest(points: Points, photons: Photons, *, nearest: int, scale: float) -> np.ndarray:
     """E by the k nearest photons in front of the surface, (N, 3); all of them where there are fewer than k.
 
     Biased: with scale 1 too bright by k / (k - 1), since the k-th photon lies on the rim of its own disc.
     """
     total = len(photons.face)
     irradiance = np.zeros((len(points.face), 3))
-    normals = faces.normals[points.face] * points.side[:, None]
     tree = _tree(photons)
     waiting, count = np.arange(len(points.face)), min(2 * nearest, total)
     while count and len(waiting):
@@ -162,7 +178,7 @@ def by_nearest(faces: Faces, points: Points, photons: Photons, *, nearest: int, 
         for start in range(0, len(waiting), size):
             block = waiting[start : start + size]
             distance, photon = (each.reshape(len(block), count) for each in tree.query(points.position[block], count))
-            front = np.einsum("nkx,nx->nk", photons.direction[photon], normals[block]) > 0
+            front = np.einsum("nkx,nx->nk", photons.direction[photon], points.normal[block]) > 0
             rank = np.cumsum(front, axis=1)
             chosen = front & (rank <= nearest)
             flux = np.einsum("nk,nkx->nx", chosen, photons.power[photon])

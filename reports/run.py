@@ -10,6 +10,7 @@ computes nothing.
 
 import hashlib
 import json
+import math
 import os
 import platform
 import shlex
@@ -29,12 +30,13 @@ from termwise.reports.machine import processor, versions
 from termwise.reports.progress import Report
 from termwise.reports.results import schema as stored
 from termwise.reports.results.schema import plain
-from termwise.reports.rows import images
+from termwise.reports.rows import images, pilot
 from termwise.reports.rows.described import describe, work
 from termwise.reports.rows.looks import Group, Source, exact_group, jobs, of_case
 from termwise.reports.rows.measurement import decided, tests_of, tile_maps
 from termwise.reports.statistics import sequential, verdict
 from termwise.reports.study import audits, exact
+from termwise.reports.study.allotment import AIM, MOST, WORK, Allotment
 from termwise.reports.study.geometry_audit import Finding
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import CHAIN, Subject, subjects
@@ -120,6 +122,7 @@ class _Run:
         self.subjects = list(subjects(study, scenes))
         self.cases = list(exact.cases(study))
         self.pictures = images.Pictures(folder)
+        self.allotment = Allotment()
         self.sources: dict[str, Source] = {}
         self.described: dict[str, Any] = {}
         self.groups: list[Group] = []
@@ -141,6 +144,7 @@ class _Run:
         settings = self._settings(name, arguments)
         settings["tests"] = tests
         settings["certified"] = self._certified(found, looks)
+        settings["allotted"] = self._allotted()
         self._write_images()
         return {
             "schema": stored.SCHEMA,
@@ -159,10 +163,11 @@ class _Run:
         """
         needs = {subject.scene.name: subject.unchanged.name for subject in self.subjects}
         errors = self.desk.failed
+        self.allotment = pilot.allotted(self.study, self.subjects, self.desk, forgiven=needs)
         listed = []
         for subject in self.subjects:
             try:
-                listed += jobs(self.study, subject, self.desk)
+                listed += jobs(self.study, subject, self.desk, self.allotment)
             except OSError:
                 raise
             except Exception as error:
@@ -193,7 +198,8 @@ class _Run:
 
     def _measure(self, subject: Subject) -> None:
         """Rows, audits, images and description of a subject whose jobs are done."""
-        source = Source(self.study, subject, self.desk, self.sources.get(subject.unchanged.name))
+        unchanged = self.sources.get(subject.unchanged.name)
+        source = Source(self.study, subject, self.desk, self.allotment, unchanged)
         measured = source.measure()
         made, checked, geometry = source.groups(measured), source.audits(), source.geometry()
         sweeps = [images.sweep(cell) for cell in measured]
@@ -237,6 +243,25 @@ class _Run:
             "budget": self.study.budget,
             "spent": ledger.spent,
             "looks": [factor * self.study.replicates for factor in sequential.LOOKS[:looks]],
+        }
+
+    def _allotted(self) -> dict[str, Any] | None:
+        """What replicates were allotted for, and how many each side of a row got; None where a study fixes them."""
+        allotment, study = self.allotment, self.study
+        if allotment.half_width is None:
+            return None
+        sides = ((allotment.ours, study.replicates), (allotment.reference, study.reference_replicates))
+        ours, references = (
+            sorted({math.ceil(count * factor) for factor in factors.values()}) for factors, count in sides
+        )
+        return {
+            "asked": study.half_width,
+            "half_width": allotment.half_width,
+            "aim": AIM,
+            "most": MOST,
+            "work": WORK,
+            "replicates": ours,
+            "reference_replicates": references,
         }
 
     def _settings(self, name: str, arguments: dict[str, Any] | None) -> dict[str, Any]:

@@ -163,14 +163,16 @@ def replay(
     from termwise.renderer.terms import find
     from termwise.reports.results import microscope
     from termwise.reports.run import plain
+    from termwise.reports.statistics import sequential
+    from termwise.reports.study import allotment, subjects
     from termwise.reports.study import study as studies
-    from termwise.reports.study import subjects
 
     estimator = find(term, variant)
     chosen = studies.load(study)
     subject, count = subjects.named(chosen, scene, estimator)
-    if not 0 <= replicate < chosen.replicates:
-        allowed = f"an integer in [0, {chosen.replicates - 1}], those of the study {study}"
+    most = chosen.replicates * sequential.LOOKS[-1] * (1 if chosen.half_width is None else allotment.MOST)
+    if not 0 <= replicate < most:
+        allowed = f"an integer in [0, {most - 1}], those that the study {study} may have"
         raise ValueError(f"replicate = {replicate}: allowed is {allowed}")
     if seed is not None:
         terminal.check_seed(seed)

@@ -1,5 +1,6 @@
 """The desk of a run: it lists jobs, has them done, and reads what they made; what they took is in its ledger."""
 
+import math
 import uuid
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -78,7 +79,7 @@ class Desk:
         self._study, self._cache = study, cache
         self._executor = executor or InThisProcess()
         self._report, self._done, self._steps = report, 0, 0
-        self._compile_seconds: dict[str, float] = {}
+        self._compile_seconds: dict[tuple[str, str, str], float] = {}
         self._fingerprints: dict[Variant, str] = {}
         # In the place of a fingerprint that cannot be told: no other run may take such images for its own.
         self._token = uuid.uuid4().hex
@@ -90,24 +91,30 @@ class Desk:
             for path in (self._cache / "cells" / name[:2]).glob(f"{name}-*.npz"):
                 path.unlink(missing_ok=True)
 
+    def beside(self, study: Repeated) -> "Desk":
+        """A desk of other repetitions, in the same cache and by the same executor, that books into the same ledger."""
+        other = Desk(study, self._cache, executor=self._executor, report=self._report)
+        other.ledger, other._compile_seconds = self.ledger, self._compile_seconds
+        return other
+
     def say(self, what: str) -> None:
         """Report what is going on."""
         self._report(what, self._done, self._steps)
 
     # Listing.
 
-    def jobs(self, asked: Measured, *, factor: int = 1) -> list[Replicate]:
+    def jobs(self, asked: Measured, *, factor: float = 1) -> list[Replicate]:
         """`factor` times the replicates of the study."""
         name = self._key(asked)
         variant = asked.variant
         counts = powers_of_two(asked.samples) if asked.swept else (asked.samples,)
         return [
             Replicate(asked.scene, variant.term, variant.name, counts, self._study.seed, asked.chain, name, number)
-            for number in range(factor * self._study.replicates)
+            for number in range(math.ceil(factor * self._study.replicates))
         ]
 
     def reference_jobs(
-        self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False
+        self, scene: Scene, limit: Limit, *, factor: float = 1, spp: int, by_second: bool = False
     ) -> list[ReferenceReplicate]:
         """`factor` times the reference replicates of the study, as far as Mitsuba's backend affords them."""
         paced = self.pace(scene, limit, factor=factor, spp=spp, by_second=by_second)
@@ -117,14 +124,14 @@ class Desk:
         """The geometry audit of a scene."""
         return GeometryAudit(scene, self._study.seed)
 
-    def pace(self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False) -> store.Pace:
+    def pace(self, scene: Scene, limit: Limit, *, factor: float = 1, spp: int, by_second: bool = False) -> store.Pace:
         """Samples and replicates of a reference: all that are asked for, but on `scalar_rgb`, where a pilot decides."""
         return store.pace(
             scene,
             limit,
             spp=spp,
             seed=self._study.seed,
-            count=factor * self._study.reference_replicates,
+            count=math.ceil(factor * self._study.reference_replicates),
             folder=self._cache / "reference",
             budget_s=factor * _SCALAR_SECONDS,
             by_second=by_second,
@@ -182,8 +189,9 @@ class Desk:
                     raise outcome.error
                 self.failed.setdefault(job.scene.name, outcome.error)
             elif isinstance(job, Replicate):
-                spent = self._compile_seconds.get(job.key, 0.0)
-                self._compile_seconds[job.key] = spent + outcome.compile_seconds
+                estimate = job.scene.name, job.term, job.variant
+                spent = self._compile_seconds.get(estimate, 0.0)
+                self._compile_seconds[estimate] = spent + outcome.compile_seconds
             self.say(job.what)
         self._done = self._steps  # those that were dropped will not come
 
@@ -195,15 +203,14 @@ class Desk:
 
     # Reading.
 
-    def cell(self, asked: Measured, *, factor: int = 1) -> Cell:
-        """What the `jobs` of a cell have made; its compilation is that of all looks."""
+    def cell(self, asked: Measured, *, factor: float = 1) -> Cell:
+        """What the `jobs` of a cell have made; its compilation is that of all looks, and of a pilot."""
         jobs = self.jobs(asked, factor=factor)
-        return cells.read(
-            jobs, asked.own, self._cache / "cells", compile_seconds=self._compile_seconds.get(jobs[0].key, 0.0)
-        )
+        compiled = self._compile_seconds.get((asked.scene.name, asked.variant.term, asked.variant.name), 0.0)
+        return cells.read(jobs, asked.own, self._cache / "cells", compile_seconds=compiled)
 
     def reference(
-        self, scene: Scene, limit: Limit, *, factor: int = 1, spp: int, by_second: bool = False
+        self, scene: Scene, limit: Limit, *, factor: float = 1, spp: int, by_second: bool = False
     ) -> store.Replicates:
         """What the `reference_jobs` of a limit have made."""
         paced = self.pace(scene, limit, factor=factor, spp=spp, by_second=by_second)

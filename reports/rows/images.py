@@ -23,12 +23,13 @@ from termwise.reports.results import microscope
 from termwise.reports.results.exr import write_exr
 from termwise.reports.results.microscope import SIDE
 from termwise.reports.results.netcdf import write_netcdf
+from termwise.reports.rows.measurement import of_sum
 from termwise.reports.statistics.replicates import CHANNELS, LUMINANCE
 from termwise.reports.statistics.tiles import TileMap, variables
 from termwise.reports.study.subjects import Subject
 from termwise.scenes import limits
 from termwise.scenes.limits import Limit
-from termwise.scenes.terms import TERMS, TOTAL, Term, TermImage, total
+from termwise.scenes.terms import TERMS, TOTAL, Term, TermImage
 
 
 def limit_name(limit: Limit) -> str:
@@ -158,8 +159,7 @@ class Pictures:
 def _ours(measured: list[Cell], pieces: microscope.Pieces) -> tuple[dict[tuple[str, str], TermImage], list[np.ndarray]]:
     """The image of each cell at its last prefix and of the total, and the luminance of their pieces."""
     defaults = _defaults(measured)
-    shared = min(len(cell.images) for cell in defaults)
-    summed = total(*(cell.images[:shared, -1] for cell in defaults))
+    summed = of_sum([cell.images[:, -1] for cell in defaults])
     images = {
         (cell.variant.term, cell.variant.name): _summary(cell.images[:, -1], cell.samples[-1]) for cell in measured
     }
@@ -184,8 +184,7 @@ def _truth(
         sums["unchanged total"] = [correct[term] for term in TERMS]
     for name, chosen in sums.items():
         if chosen:
-            shared = min(len(stack) for stack in chosen)
-            stacks[name] = total(*(stack[:shared] for stack in chosen))
+            stacks[name] = of_sum(chosen)
     images = {name: _summary(stack, 0) for name, stack in stacks.items()}
     return images, [pieces.luminance(stack) for stack in stacks.values()]
 

@@ -29,10 +29,11 @@ from termwise.reports.statistics import accumulation, sequential
 from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.sequential import Item
 from termwise.reports.study import audits
+from termwise.reports.study.allotment import Allotment
 from termwise.reports.study.exact import Case
 from termwise.reports.study.geometry_audit import Finding
 from termwise.reports.study.study import Study
-from termwise.reports.study.subjects import CHAIN, Subject, own_limit
+from termwise.reports.study.subjects import CHAIN, Subject, exact_part, own_limit
 from termwise.scenes import limits
 from termwise.scenes.limits import Limit
 from termwise.scenes.terms import TABLE, TERMS, Term
@@ -42,7 +43,7 @@ _RINGS = 8  # times the samples a pixel of other references
 RowsOf = Callable[[Subject, list[Cell], References, Compare], list[Measurement]]
 
 
-def jobs(study: Study, subject: Subject, desk: Desk) -> list[Job]:
+def jobs(study: Study, subject: Subject, desk: Desk, allotment: Allotment) -> list[Job]:
     """The jobs of a subject at the first look: its references, its variants, what audits the references, and radii.
 
     Nothing is done, but for the pilots by which `scalar_rgb` tells how many samples it affords (`Desk.pace`).
@@ -50,10 +51,12 @@ def jobs(study: Study, subject: Subject, desk: Desk) -> list[Job]:
     listed: list[Job] = []
     asked = limits_of(study, subject)
     for limit in asked:
-        listed += desk.reference_jobs(subject.scene, limit, spp=reference_samples(study, limit))
+        times = allotment.of_reference(subject.scene, limit)
+        listed += desk.reference_jobs(subject.scene, limit, factor=times, spp=reference_samples(study, limit))
     listed.append(desk.geometry_job(subject.scene))
     for variant in _variants(subject):
-        listed += desk.jobs(of_variant(study, subject, variant))
+        times = allotment.of(subject.scene, variant)
+        listed += desk.jobs(of_variant(study, subject, variant), factor=times)
     for limit in _seconds(study, subject, asked):
         spp = audits.second_samples(desk.pace(subject.scene, limit, spp=reference_samples(study, limit)).spp)
         listed += desk.reference_jobs(subject.scene, limit, spp=spp, by_second=True)
@@ -76,11 +79,14 @@ def of_case(case: Case) -> Measured:
 
 
 def limits_of(study: Study, subject: Subject) -> tuple[Limit, ...]:
-    """Every limit of its scene that a subject's rows are measured against, each once."""
+    """Every limit of its scene that a subject's rows are measured against or allowed by, each once."""
     wanted: dict[Limit, None] = {}
     for term in TERMS:
         for variant in subject.variants[term]:
-            wanted[own_limit(study, subject, variant)] = None
+            own = own_limit(study, subject, variant)
+            wanted[own] = None
+            if exact := exact_part(subject.scene, variant, own):
+                wanted[exact] = None
         if subject.base is None:
             wanted[subject.correct(term)] = None
             wanted[limits.physical(term)] = None
@@ -90,10 +96,9 @@ def limits_of(study: Study, subject: Subject) -> tuple[Limit, ...]:
 def reference_samples(study: Study, limit: Limit) -> int:
     """Samples per pixel and replicate; of a kernel reference, photon maps a replicate."""
     if limit.kernel is not None:
-        assert study.kernel_maps is not None
-        # The paper's own estimate is to be told from one that is right, 1 to 2 % away.
-        paper = limit.kernel.shape == "nearest" and limit.kernel.scale == 1.0
-        return study.kernel_maps * (2 if paper else 1)
+        maps = study.maps_of(limit.kernel)
+        assert maps is not None
+        return maps
     if limit.transport == "physical":
         return study.physical_spp
     # Rings cannot be drawn where the lobe is: their reference is as noisy as the estimator.
@@ -158,11 +163,14 @@ class Source:
     Parameters
     ----------
     study, subject, desk : the subject's jobs of the first look are done.
+    allotment : factors on the replicates of the study, at every look.
     unchanged : of the scene without the change, where the subject is a changed one.
     """
 
-    def __init__(self, study: Study, subject: Subject, desk: Desk, unchanged: "Source | None") -> None:
-        self.study, self.subject, self.desk = study, subject, desk
+    def __init__(
+        self, study: Study, subject: Subject, desk: Desk, allotment: Allotment, unchanged: "Source | None"
+    ) -> None:
+        self.study, self.subject, self.desk, self.allotment = study, subject, desk, allotment
         rendered = {limit: self._reference(limit) for limit in limits_of(study, subject)}
         self.rendered = (
             References(rendered, {term: rendered[subject.correct(term)] for term in TERMS})
@@ -176,11 +184,12 @@ class Source:
         self._factors: dict[Variant | Limit, int] = {}
 
     def _reference(self, limit: Limit, factor: int = 1) -> store.Replicates:
-        spp = reference_samples(self.study, limit)
-        return self.desk.reference(self.subject.scene, limit, factor=factor, spp=spp)
+        scene, spp = self.subject.scene, reference_samples(self.study, limit)
+        return self.desk.reference(scene, limit, factor=factor * self.allotment.of_reference(scene, limit), spp=spp)
 
     def _cell(self, variant: Variant, factor: int = 1) -> Cell:
-        return self.desk.cell(of_variant(self.study, self.subject, variant), factor=factor)
+        times = factor * self.allotment.of(self.subject.scene, variant)
+        return self.desk.cell(of_variant(self.study, self.subject, variant), factor=times)
 
     def measure(self) -> list[Cell]:
         """The cells of all variants at the first look."""
@@ -231,10 +240,11 @@ class Source:
         scene = self.subject.scene
         listed: list[Job] = []
         for variant in variants:
-            listed += self.desk.jobs(of_variant(self.study, self.subject, variant), factor=factor)
+            times = factor * self.allotment.of(scene, variant)
+            listed += self.desk.jobs(of_variant(self.study, self.subject, variant), factor=times)
         for limit in own:
-            spp = reference_samples(self.study, limit)
-            listed += self.desk.reference_jobs(scene, limit, factor=factor, spp=spp)
+            times, spp = factor * self.allotment.of_reference(scene, limit), reference_samples(self.study, limit)
+            listed += self.desk.reference_jobs(scene, limit, factor=times, spp=spp)
         self.desk.run(listed)
         self._factors |= dict.fromkeys((*variants, *own), factor)
         taken = [self._cell(variant, factor) for variant in variants]

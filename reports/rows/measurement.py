@@ -4,7 +4,7 @@ The level of every test depends on the number of tests of the whole run, so a ro
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import attrs
@@ -20,7 +20,7 @@ from termwise.reports.statistics.jackknife import Estimate
 from termwise.reports.statistics.verdict import Verdict
 from termwise.reports.study import audits
 from termwise.reports.study.exact import Case
-from termwise.reports.study.subjects import Subject
+from termwise.reports.study.subjects import Subject, exact_part
 from termwise.scenes import limits
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
@@ -164,6 +164,7 @@ def cell_rows(subject: Subject, measured: list[Cell], rendered: References, comp
         # Against its kernel reference a kernel estimate is judged like any other.
         kernel = variant.kernel_based(scene) and cell.own.kernel is None
         judged = variant.judged or cell.own.kernel is not None
+        allowance = _allowance(scene, [cell], rendered, compare)
         kind = variant.kind if subject.setting is None else "wrong"
         errors = [mean_square_error(cell.images[:, p], own.images) for p in range(len(cell.samples))]
         curve = None
@@ -189,7 +190,7 @@ def cell_rows(subject: Subject, measured: list[Cell], rendered: References, comp
                     limits=(cell.own,),
                     kind=kind,
                     kernel=kernel,
-                    allowance=variant.allowance if kernel else 0.0,
+                    allowance=allowance,
                     margin=rule.margin_of(kind, own_mean, correct_mean),
                     judged=last and judged,
                     predicted_bias=0.0 if judged else None,
@@ -228,6 +229,26 @@ def cell_rows(subject: Subject, measured: list[Cell], rendered: References, comp
     return rows
 
 
+def _allowance(scene: Scene, taken: list[Cell], rendered: References, compare: Compare) -> float:
+    """What a row made of cells is allowed for the light that photons stand for, where that has the largest share.
+
+    In the image and the objects, in each channel: δ's own places and scales.
+    """
+    kernels = {cell.own: cell.variant for cell in taken if cell.variant.kernel_based(scene) and not cell.own.kernel}
+    most = max((variant.allowance for variant in kernels.values()), default=0.0)
+    exact = {own: exact_part(scene, variant, own) for own, variant in kernels.items()}
+    if most == 0.0 or None in exact.values():
+        return most
+
+    def images(chosen: list[Limit]) -> np.ndarray:
+        stacks = [rendered.rendered[limit].images for limit in chosen]
+        return stacks[0] if len(stacks) == 1 else of_sum(stacks)
+
+    own = [cell.own for cell in taken]
+    without = compare(images([exact.get(limit) or limit for limit in own]), images(own), "light without photons")
+    return most * min(1.0, max(0.0, -float(without.regions.bias.min())))
+
+
 def _split(cell: Cell, own: np.ndarray, physical: np.ndarray) -> dict[str, list[float]]:
     """Parts of one replicate's mean square error against full light transport: value and 90 % interval, radiance².
 
@@ -240,18 +261,16 @@ def _split(cell: Cell, own: np.ndarray, physical: np.ndarray) -> dict[str, list[
 
 
 def total_rows(subject: Subject, measured: list[Cell], rendered: References, compare: Compare) -> list[Measurement]:
-    """Rows of the sum of the default variants; it carries the allowance of a kernel-based term."""
+    """Rows of the sum of the default variants; its allowance is that of a kernel-based term."""
     scene = subject.scene
     default = dict(zip(TERMS, measured, strict=True))
-    ours = total(*(default[term].images[:, -1] for term in TERMS))
-    by_kernel = [c.variant for c in default.values() if c.variant.kernel_based(scene) and c.own.kernel is None]
-    allowance = max((variant.allowance for variant in by_kernel), default=0.0)
+    ours = of_sum([default[term].images[:, -1] for term in TERMS])
+    by_kernel = any(c.variant.kernel_based(scene) and c.own.kernel is None for c in default.values())
     judged = all(cell.variant.judged or cell.own.kernel for cell in default.values())
     kind = "right" if subject.setting is None else "wrong"
 
     def summed(chosen: list[store.Replicates]) -> np.ndarray:
-        shared = min(len(kept.images) for kept in chosen)
-        return total(*(kept.images[:shared] for kept in chosen))
+        return of_sum([kept.images for kept in chosen])
 
     against = {"own": [rendered.rendered[default[term].own] for term in TERMS]}
     if subject.setting is None:
@@ -260,7 +279,8 @@ def total_rows(subject: Subject, measured: list[Cell], rendered: References, com
         against["correct"] = [rendered.correct[term] for term in TERMS]
     means = {name: mean_luminance(summed(chosen)) for name, chosen in against.items()}
     right = means.get("correct", means["own"])
-    seconds = np.sum([cell.seconds[:, -1] for cell in default.values()], axis=0)
+    allowance = _allowance(scene, list(default.values()), rendered, compare)
+    seconds = np.sum([_grouped(c.seconds[:, -1], len(ours)).sum(axis=1) for c in default.values()], axis=0)
     rows = []
     for name, chosen in against.items():
         reference = summed(chosen)
@@ -278,7 +298,7 @@ def total_rows(subject: Subject, measured: list[Cell], rendered: References, com
                 source=_described(*chosen),
                 limits=tuple(default[term].own for term in TERMS) if name == "own" else (),
                 kind=kind,
-                kernel=bool(by_kernel),
+                kernel=by_kernel,
                 allowance=allowance if name == "own" else 0.0,
                 margin=rule.margin_of(kind, means["own"], right),
                 judged=name == "own" and judged,
@@ -287,6 +307,21 @@ def total_rows(subject: Subject, measured: list[Cell], rendered: References, com
             )
         )
     return rows
+
+
+def of_sum(stacks: Sequence[np.ndarray]) -> np.ndarray:
+    """Replicates of the sum of the terms: as many as the term with the fewest has, others averaged in equal groups.
+
+    `stacks` : (K, H, W, 3) of each term, in the order of `TERMS`; the K may differ.
+    """
+    shared = min(len(stack) for stack in stacks)
+    return total(*(stack if len(stack) == shared else _grouped(stack, shared).mean(axis=1) for stack in stacks))
+
+
+def _grouped(values: np.ndarray, groups: int) -> np.ndarray:
+    """(groups, K // groups, ...) of the first of K values."""
+    each = len(values) // groups
+    return values[: groups * each].reshape(groups, each, *values.shape[1:])
 
 
 def exact_rows(case: Case, cell: Cell) -> list[Measurement]:

@@ -10,6 +10,7 @@ from termwise.renderer.terms import DEFAULTS, VARIANTS, Chain, Variant, find, re
 from termwise.renderer.terms.variant import CHAINS
 from termwise.reports.statistics.convergence import RADII_NEEDED
 from termwise.scenes import strict
+from termwise.scenes.limits import Kernel
 from termwise.scenes.model import in_range, positive, unit_interval
 from termwise.scenes.strict import FileError
 from termwise.scenes.terms import Term
@@ -136,9 +137,12 @@ class Study:
     reference_spp : samples per pixel of a reference replicate.
     audit : whether references are held against a second integrator too, beside their halves (`reports.study.audits`).
     physical_spp : the same for full light transport, against which no verdict is due.
-    kernel_maps : photon maps a replicate of the kernel references, which kernel estimates are then judged against (at
-        least 64 over all replicates are wanted), twice as many for `paper`; None: they are judged against E itself,
-        with their allowance.
+    kernel_maps : photon maps a replicate of the kernel references of kernels of a radius, which such estimates are then
+        judged against (at least 64 over all replicates are wanted); None: they are judged against E itself, with an
+        allowance for the light that photons stand for.
+    nearest_maps : the same of the k nearest photons, twice as many for `paper`.
+    half_width : of the 90 % interval of a judged row's mean, relative: replicates are allotted by a pilot so that none
+        is wider (see `reports.study.allotment`); None: each side has those that the study says.
     photons : photons per pass at most, instead of a scene's larger count; None: the scenes' own.
     photons_of : photons per pass of the scenes named, whatever `photons` and the scenes say.
     samples : samples per pixel and replicate of a term, or of one variant as "term.variant"; powers of two keep
@@ -162,6 +166,10 @@ class Study:
     audit: bool = True
     physical_spp: int = attrs.field(default=16, validator=_count)
     kernel_maps: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
+    nearest_maps: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
+    half_width: float | None = attrs.field(
+        default=None, validator=attrs.validators.optional(in_range(1e-6, 1.0, open_low=False))
+    )
     photons: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     photons_of: dict[str, int] = attrs.field(factory=dict, validator=_photons_of)
     samples: dict[str, int] = attrs.field(factory=dict, validator=_samples)
@@ -176,6 +184,13 @@ class Study:
         """Samples per pixel and replicate of a variant."""
         of_term = self.samples.get(variant.term, DEFAULT_SAMPLES)
         return self.samples.get(f"{variant.term}.{variant.name}", of_term)
+
+    def maps_of(self, kernel: Kernel) -> int | None:
+        """Photon maps a replicate of a kernel's reference; None where the study renders none."""
+        if kernel.shape != "nearest":
+            return self.kernel_maps
+        # The paper's own estimate is to be told from one that is right, 1 to 2 % away.
+        return self.nearest_maps and self.nearest_maps * (2 if kernel.scale == 1.0 else 1)
 
     def variants_of(self, term: Term) -> tuple[str, ...]:
         """Names of the variants of a term."""

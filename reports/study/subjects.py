@@ -172,7 +172,7 @@ def own_limit(study: Study, subject: Subject, variant: Variant) -> Limit:
         met = {term: VARIANTS[term][name] for term, name in CHAINS[subject.chain].items()}
         kernel = met["direct"].kernel(scene, samples)
         limit = attrs.evolve(limit, scope="all", ambient=met["ambient"].limit(scene, samples).factor)
-    if study.kernel_maps is None or kernel is None:
+    if kernel is None or study.maps_of(kernel) is None:
         return limit
     # The kernel reference scatters diffusely and leaves surfaces as Mitsuba does; its roulette decides how densely the
     # nearest photons lie.
@@ -180,3 +180,14 @@ def own_limit(study: Study, subject: Subject, variant: Variant) -> Limit:
     served = photons.scattering == "diffuse" and scene.ignore == "face"
     served &= photons.survival is None or kernel.shape != "nearest"
     return attrs.evolve(limit, kernel=kernel) if served else limit
+
+
+def exact_part(scene: Scene, variant: Variant, own: Limit) -> Limit | None:
+    """The light of a photon estimate that no photon stands for, where it is judged with an allowance for the others.
+
+    None where it has a kernel reference, or photons stand for all of its light.
+    """
+    kernel = variant.kernel(scene, 1)
+    if kernel is None or own.kernel is not None or kernel.stored == "all":
+        return None
+    return Limit("direct", scope="first-hit", shadows=scene.shadows)

@@ -3,6 +3,7 @@
 import attrs
 import numpy as np
 import pytest
+import trimesh
 from scipy import integrate
 
 from termwise import reference, renderer
@@ -33,7 +34,8 @@ PLATE = density.faces(square(), np.zeros(2, int))
 
 def at(*places: tuple[float, ...], face: int = 0, side: float = 1.0) -> Points:
     position = np.array([(*place, 0.0)[:3] for place in places], float)
-    return Points(position, np.full(len(places), face), np.full(len(places), side))
+    normal = np.broadcast_to((0.0, 0.0, side), position.shape)
+    return Points(position, np.full(len(places), face), np.full(len(places), side), normal)
 
 
 def photons_at(xy: np.ndarray, power, direction=(0.0, 0.0, 1.0), face: int = 0) -> Photons:
@@ -184,11 +186,11 @@ def test_nearest_photons_are_too_bright_by_the_law(nearest):
     values = []
     for _ in range(1500):
         photons = photons_at(rng.random((count, 2)), 1 / count)
-        values.append(by_nearest(PLATE, points, photons, nearest=nearest, scale=1.0)[:, 0].mean())
+        values.append(by_nearest(points, photons, nearest=nearest, scale=1.0)[:, 0].mean())
     error = np.std(values, ddof=1) / np.sqrt(len(values))
     assert abs(np.mean(values) - nearest / (nearest - 1)) < 4 * error
     assert error < 0.1 / nearest
-    scaled = by_nearest(PLATE, points, photons, nearest=nearest, scale=1 - 1 / nearest)[:, 0].mean()
+    scaled = by_nearest(points, photons, nearest=nearest, scale=1 - 1 / nearest)[:, 0].mean()
     assert scaled == pytest.approx(values[-1] * (1 - 1 / nearest), rel=1e-12)
 
 
@@ -203,7 +205,7 @@ def test_nearest_photons_are_those_in_front():
     for nearest in (2, 7, 59, 500):
         chosen = np.flatnonzero(front)[np.argsort(distance[front])][:nearest]
         expected = photons.power[chosen].sum(axis=0) / (np.pi * distance[chosen].max() ** 2)
-        found = by_nearest(PLATE, point, photons, nearest=nearest, scale=1.0)
+        found = by_nearest(point, photons, nearest=nearest, scale=1.0)
         np.testing.assert_allclose(found[0], expected, rtol=1e-12)
 
 
@@ -217,10 +219,10 @@ def test_photons_of_other_surfaces_never_count():
     for photons in (below, above):
         assert not by_kernel(faces, point, photons, shape="simpson", radius=0.3).any()
     assert by_kernel(faces, at((0.5, 0.4), side=-1.0), below, shape="simpson", radius=0.3).all()
-    assert not by_nearest(faces, point, below, nearest=5, scale=1.0).any()
+    assert not by_nearest(point, below, nearest=5, scale=1.0).any()
     none = photons_at(np.zeros((0, 2)), 1.0)
     assert not by_kernel(faces, point, none, shape="simpson", radius=0.3).any()
-    assert not by_nearest(faces, point, none, nearest=5, scale=1.0).any()
+    assert not by_nearest(point, none, nearest=5, scale=1.0).any()
 
 
 # Photons.
@@ -392,10 +394,39 @@ def test_what_is_not_supported_is_refused():
     kernel = Kernel("simpson", radius=0.3)
     with pytest.raises(ValueError, match="first-hit"):
         reference.replicate(box, Limit("direct", scope="first-hit", kernel=kernel), spp=1, seed=1)
-    mesh = Mesh.from_arrays(box.objects[0].mesh.vertices, box.objects[0].mesh.faces, smooth=True)
-    smooth = attrs.evolve(box, objects=(attrs.evolve(box.objects[0], mesh=mesh),))
-    with pytest.raises(ValueError, match="interpolated normals"):
-        rendered(smooth, kernel, 1, 1)
+
+
+@pytest.mark.parametrize("stored", ["all", "scattered"])
+def test_interpolated_normals_have_the_limit_of_paths(stored):
+    """A coarse ball, whose normals are up to 20° off its faces', lights the box it hangs in: |z| < 4 against `path`.
+
+    Flat, the same ball is told apart: without the cosines of its normals the estimate would be that one.
+    """
+    box = closed_box()
+
+    def scene(*, smooth: bool) -> Scene:
+        ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
+        mesh = Mesh.from_arrays(ball.vertices + (0.1, 0.35, -0.4), ball.faces, smooth=smooth)
+        return attrs.evolve(
+            box,
+            objects=(*box.objects, Object("ball", mesh, Material((0.8, 0.8, 0.8)))),
+            camera=attrs.evolve(box.camera, position=(0.0, -0.9, -0.3), target=(0.1, 0.35, -0.4), fov=50.0),
+        )
+
+    def mean(images: np.ndarray) -> np.ndarray:
+        return images.mean(axis=(1, 2), dtype=float)
+
+    estimate = mean(rendered(scene(smooth=True), Kernel("simpson", stored, radius=0.05), 2, 8))
+    z = []
+    for smooth in (True, False):
+        limit = Limit("direct", scope="all")
+        path = mean(
+            np.array([reference.replicate(scene(smooth=smooth), limit, spp=256, seed=5, replicate=k) for k in range(8)])
+        )
+        error = np.sqrt((estimate.var(axis=0, ddof=1) + path.var(axis=0, ddof=1)) / 8)
+        z.append(np.abs(estimate.mean(axis=0) - path.mean(axis=0)) / error)
+    assert (z[0] < 4).all()
+    assert (z[1] > 6).all()
 
 
 # The renderer's own estimates.

@@ -200,7 +200,7 @@ def test_bad_places(arguments: list[Any], named: list[str], folder: Path, comman
     ("changes", "named"),
     [
         ({"--x": -1}, ["x = -1", "[0, 31]"]),
-        ({"--replicate": 4}, ["replicate = 4", "[0, 3]"]),
+        ({"--replicate": 32}, ["replicate = 32", "[0, 31]"]),
         ({"--term": "glow"}, ["term = 'glow'", "ambient"]),
         ({"--variant": "glow"}, ["variant = 'glow' of ambient", "cosine"]),
         ({"--samples": 0}, ["samples = 0", "at least 1"]),

@@ -143,7 +143,7 @@ def test_both_sides_make_the_same_of_the_same_photons(shape):
     side = rng.choice([-1.0, 1.0], len(query))
     theirs = density.by_kernel(
         density.faces(g.corners, g.object),
-        density.Points(points, query, side),
+        density.Points(points, query, side, side[:, None] * g.normals[query]),
         density.Photons(position, direction, power, face),
         shape=shape,
         radius=0.3,

@@ -309,6 +309,33 @@ def test_another_folder_computes_nothing_either(first: Finished, compare: Callab
         assert row | {"compile_seconds": 0} == other | {"compile_seconds": 0}
 
 
+def test_replicates_are_allotted_where_intervals_are_wide(
+    first: Finished, results: dict[str, Any], files: Path, compare: Callable[..., Finished]
+):
+    """Beyond those of the study, by a pilot of its own: what the study has is found again, and so is the rest later."""
+    text = (files / "study.toml").read_text()
+    (files / "allotted.toml").write_text(text.replace("photons", "half_width = 0.02\nphotons"))
+    run = compare("--json", out="allotted", study_file="allotted.toml")
+    found = json.loads(run.output)
+    allotted = found["settings"]["allotted"]
+    assert (results["settings"]["allotted"], allotted["asked"]) == (None, 0.02)
+    last = {(r["term"], r["variant"]): r for r in found["cells"] if r["against"] == "own" and r["samples"] == 2}
+    total, paper = last.pop(("total", "default")), last.pop(("direct", "paper"))
+    assert paper["replicates"] == 4, "no verdict is due"
+    counts = [row["replicates"] for row in last.values()]
+    assert set(counts) == set(allotted["replicates"])
+    assert {row["reference_replicates"] for row in last.values()} == set(allotted["reference_replicates"])
+    assert max(counts) > min(counts) == total["replicates"] == 4
+    # Two replicates of each variant, eight of the one with photons.
+    assert run.computed == sum(count - 4 for count in counts) + 2 * (len(counts) - 1) + 8
+    again = compare("--json", out="allotted again", study_file="allotted.toml")
+    assert (again.computed, again.rendered) == (0, 0)
+    assert json.loads(again.output)["settings"]["allotted"] == allotted
+    page = (run.folder / "index.html").read_text()
+    assert "no 90&#8239;% interval is wider" in page
+    assert 'id="allotment"' in (run.folder / "method.html").read_text()
+
+
 @pytest.fixture(scope="module")
 def sequential_run(first: Finished, compare: Callable[..., Finished]) -> Finished:
     """The study with a budget that lets every row go to its last look."""

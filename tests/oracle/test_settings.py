@@ -214,7 +214,7 @@ def test_a_chain_of_the_paper_s_terms_against_its_twin(shadows: str):
     """Ambient without 1/π and the k nearest photons at the vertices, by Mitsuba's photons and a k-d tree."""
     scene = small_changed("cornell_box_unshadowed", shadows=shadows)
     subject = Subject(scene, {"specular": (find("specular", "vndf"),)}, "paper")
-    study = Study(scenes=("cornell_box_unshadowed",), resolution=(24, 24), kernel_maps=1)
+    study = Study(scenes=("cornell_box_unshadowed",), resolution=(24, 24), kernel_maps=1, nearest_maps=1)
     limit = own_limit(study, subject, find("specular", "vndf"))
     assert limit.kernel is not None
     assert limit.ambient == math.pi

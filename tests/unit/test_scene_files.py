@@ -236,7 +236,7 @@ def test_library_loads(name):
 
 def test_library_is_the_four_of_the_paper():
     """Their names are the product's vocabulary."""
-    assert library() == ("cornell_box", "cornell_box_unshadowed", "monkey", "two_cubes")
+    assert library() == ("cornell_box", "cornell_box_unshadowed", "monkey", "smooth_monkey", "two_cubes")
 
 
 def test_the_two_boxes_differ_in_scope_alone():
