@@ -1,11 +1,13 @@
 """A verdict in plain words, one line: what a person says first, before any statistics."""
 
+import attrs
 import numpy as np
 
 from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.replicates import CHANNELS
 from termwise.reports.statistics.sentence import tile_words
 from termwise.reports.statistics.verdict import PLACE_SIDE, Verdict
+from termwise.reports.statistics.welch import Comparison
 
 EVERYWHERE = 0.5
 """Share of the lit tiles that must be seen to be off, the same way, for an error to be called everywhere."""
@@ -69,19 +71,19 @@ def _proven(verdict: Verdict, statistics: Statistics) -> str:
     if sure:
         worst = max(sure, key=lambda each: abs(each.bias))
         return f"{worst.region} {_off(worst.bias)}, the image's mean is not seen to be off"
-    tile = statistics.tiles[PLACE_SIDE]
+    tile = _tiles(statistics)
     x, y, _, _ = verdict.tile
     bias = float(tile.bias[y // PLACE_SIDE, x // PLACE_SIDE])
     place = tile_words(verdict.tile)
     if (np.abs(tile.bias) > _SEEN * tile.standard_error).mean() < _WIDESPREAD and abs(bias) > _small(statistics):
         return f"{_off(bias)} at {place}, right on average"
-    rms = np.sqrt(max(theta.value for theta in statistics.mean_square.values()))
+    rms = np.sqrt(max(theta.value for each in statistics.mean_square.values() for theta in each))
     return f"right on average, but misplaced by {_share(rms)} rms, most of all at {place}"
 
 
 def _where(verdict: Verdict, statistics: Statistics) -> str:
     """Everywhere, or where most of all: whether one factor explains the tiles."""
-    tiles, sign = statistics.tiles[PLACE_SIDE], np.sign(verdict.bias)
+    tiles, sign = _tiles(statistics), np.sign(verdict.bias)
     lit = tiles.reference > 0.01 * statistics.term_mean
     if not lit.any():
         return "where the reference is black"
@@ -94,9 +96,15 @@ def _where(verdict: Verdict, statistics: Statistics) -> str:
     return f"most of all at {tile_words(verdict.tile)}" if uneven >= 0.1 or off < 0.1 else "on average"
 
 
+def _tiles(statistics: Statistics) -> Comparison:
+    """Of luminance."""
+    tiles = statistics.tiles[PLACE_SIDE]
+    return Comparison(*(getattr(tiles, field.name)[0] for field in attrs.fields(Comparison)))
+
+
 def _small(statistics: Statistics) -> float:
     """Relative bias of a tile that noise alone may show."""
-    return 3 * float(np.median(statistics.tiles[PLACE_SIDE].standard_error))
+    return 3 * float(np.median(_tiles(statistics).standard_error))
 
 
 def _outside_zero(low: float | None, high: float | None) -> bool:

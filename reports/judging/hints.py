@@ -3,8 +3,8 @@
 A cause is a `Correction`: a change of each image of ours (or of the reference) and what it is called. Those that could
 explain the error are found on the mean images; each is then undone on every replicate, the corrected replicates are
 judged as the given ones were, and the cause is said only if no error of theirs is proven and at least half of the
-distance `D`, `D² = Σ_c δ_c² + θ_2 + θ_8` (the mean of each channel, the shape over 2 and 8 px), is gone: noise that
-hides an error is no explanation of it.
+distance `D`, `D² = Σ_c δ_c² + Σ_b θ_b` (the mean of each channel, the shape over blocks of each size), is gone: noise
+that hides an error is no explanation of it.
 """
 
 import itertools
@@ -194,7 +194,7 @@ def hints(
 
 
 def _distance(statistics: Statistics) -> float:
-    shape = sum(max(theta.value, 0.0) for theta in statistics.mean_square.values())
+    shape = sum(max(0.0, *(theta.value for theta in each)) for each in statistics.mean_square.values())
     return float(np.sqrt(np.sum(statistics.regions.bias[0] ** 2) + shape))
 
 

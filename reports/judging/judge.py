@@ -262,6 +262,7 @@ def measure(
         exact=exact,
         noiseless=noiseless,
         allow_negative=allow_negative,
+        quantum=(ours.quantum, truth.quantum),
         names=ours.names,
         reference_names=truth.names,
     )
@@ -311,6 +312,12 @@ class _Side:
     samples: int | None = None
     seconds: float | None = None
     files: Any = None
+
+    @property
+    def quantum(self) -> float:
+        """How far their storage may have rounded a value beyond float32, relative."""
+        half = np.finfo(np.float16).eps / 2 if self.stack.dtype == np.float16 else 0.0
+        return max(half, 0.0 if self.files is None else self.files.quantum)
 
 
 def _side(side: str, given: Images, layer: str | None, names: Sequence[str], *, exact: bool = False) -> _Side:

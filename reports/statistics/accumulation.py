@@ -303,14 +303,6 @@ class _Sums:
         if self.objects is not None:
             self._read_objects(self.objects[top : top + band.shape[1]], band)
 
-    def _block_sums(self, top: int, values: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-        """`block_sums` of rows from `top` on; areas count the pixels in the mask."""
-        sums, areas = block_sums(values, side)
-        if self.mask is not None:
-            inside = self.mask[top : top + values.shape[-2]].astype(np.float64)
-            areas = block_sums(inside, side)[0]
-        return sums, areas
-
     def _read_objects(self, objects: np.ndarray, band: np.ndarray) -> None:
         at = np.asarray(objects).ravel()
         inside = np.flatnonzero(at >= 0)
