@@ -256,8 +256,7 @@ def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hit
         came, normal = -direction[alive], surfaces.faces.normals[face]
         direction = _cosine_distributed(hit.normal[alive], rng.random((len(face), 2)))
         # A direction about an interpolated normal may lead below the face.
-        side = np.sign(_dot(direction, normal))
-        origin = hit.position[alive] + LIFT * side[:, None] * normal
+        origin = hit.position[alive] + (LIFT * np.sign(_dot(direction, normal)))[:, None] * normal
         power = power[alive]
         if surfaces.faces.smooth.any():
             power = power * _adjoint(surfaces.faces.smooth[face], came, direction, hit.normal[alive], normal)

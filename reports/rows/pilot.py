@@ -11,8 +11,8 @@ import attrs
 from termwise.reference import backend, store
 from termwise.renderer.terms import Variant
 from termwise.renderer.terms.estimator import Compiled
+from termwise.reports.jobs.cells import Job
 from termwise.reports.jobs.desk import Desk, Measured
-from termwise.reports.jobs.executors import Job
 from termwise.reports.rows.looks import reference_samples
 from termwise.reports.study.allotment import PRICE, Allotment, Noise, allot, key, reference_key, scale, variance
 from termwise.reports.study.study import Study
