@@ -559,6 +559,45 @@ def test_tiff(tmp_path: Path):
         refused(path, words)
 
 
+def predicted(rgb: np.ndarray, *, side: int = 0, kind: str = "<f4") -> bytes:
+    """A deflated TIFF with the floating-point predictor, in tiles of a side or in strips of 7 lines."""
+    height, width, samples = rgb.shape
+    size = np.dtype(kind).itemsize
+    high, wide = (side, side) if side else (7, width)
+    bodies = []
+    for y, x in itertools.product(range(0, height, high), range(0, width, wide)):
+        block = rgb[y : y + high, x : x + wide]
+        if side:
+            block = np.pad(block, ((0, side - block.shape[0]), (0, side - block.shape[1]), (0, 0)))
+        body = b""
+        for row in block.astype(kind.replace("<", ">")):
+            ordered = np.frombuffer(row.tobytes(), np.uint8).reshape(-1, size).T.ravel().astype(int)
+            ordered[samples:] -= ordered[:-samples].copy()
+            body += (ordered % 256).astype(np.uint8).tobytes()
+        bodies.append(zlib.compress(body))
+    count = len(bodies)
+    extra = 8 + 2 + 12 * 12 + 4
+    offsets = np.cumsum([extra + 12 + 8 * count, *map(len, bodies)])[:-1].tolist()
+    sizes = (322, 3, 1, wide), (323, 3, 1, high), (324, 4, count, extra + 12), (325, 4, count, extra + 12 + 4 * count)
+    if not side:
+        sizes = (278, 3, 1, high), (273, 4, count, extra + 12), (279, 4, count, extra + 12 + 4 * count), (284, 3, 1, 1)
+    tags = [(256, 3, 1, width), (257, 3, 1, height), (258, 3, 3, extra), (259, 3, 1, 8), (262, 3, 1, 2)]
+    tags += [(277, 3, 1, samples), (317, 3, 1, 3), (339, 3, 3, extra + 6), *sizes]
+    directory = b"".join(struct.pack("<HHII", *tag) for tag in sorted(tags))
+    shorts = struct.pack("<6H", *[8 * size] * 3, *[3] * 3)
+    tables = struct.pack(f"<{2 * count}I", *offsets, *map(len, bodies))
+    header = struct.pack("<2sHIH", b"II", 42, 8, len(tags))
+    return header + directory + bytes(4) + shorts + tables + b"".join(bodies)
+
+
+@pytest.mark.parametrize("side", [0, 16])
+def test_tiff_with_predicted_floats(tmp_path: Path, side: int):
+    path = tmp_path / "a.tif"
+    for kind in ("<f4", "<f2"):
+        path.write_bytes(predicted(RGB, side=side, kind=kind))
+        assert np.array_equal(pixels(path), RGB.astype(kind).astype(np.float32))
+
+
 # Folders and stacks.
 
 
