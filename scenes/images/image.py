@@ -11,6 +11,7 @@ Window = tuple[int, int, int, int]
 
 HALF = 2.0**-11
 """Half a step of a half-precision float, relative."""
+HALF_NOTE = f"half floats: a value is known to {HALF:.2%}, and no bias below that is looked for"
 LOSSY = 2.0**-7
 """Of lossy compression with its usual settings: means over 8 px of noise came out wrong by up to so much, rms."""
 LARGEST = 2**28
@@ -50,6 +51,8 @@ class Image:
         if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
             raise ValueError(f"{path}: shape {shape}: allowed are (height, width) and (height, width, 1, 3 or 4)")
         check_size(path, *array.shape[1::-1])
+        if array.dtype.itemsize == 2:
+            notes += (HALF_NOTE,)
         quantum = HALF if array.dtype.itemsize == 2 else 0.0
         kept = array.astype(np.float32 if array.dtype.itemsize <= 4 else np.float64, copy=False)
         rgb = np.repeat(kept, 3, axis=2) if kept.shape[2] == 1 else kept[..., :3]

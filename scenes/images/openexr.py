@@ -17,7 +17,7 @@ import numpy as np
 import OpenEXR
 
 from termwise.scenes.images import chunks
-from termwise.scenes.images.image import HALF, LOSSY, REC709, Image, check_size, in_rec709, luminance_weights
+from termwise.scenes.images.image import HALF, HALF_NOTE, LOSSY, REC709, Image, check_size, in_rec709, luminance_weights
 
 _WORDS = {"red": "r", "green": "g", "blue": "b"}
 _COLOURS = ("r", "g", "b"), ("y", "ry", "by"), ("x", "y", "z"), ("y",)
@@ -228,14 +228,13 @@ def _in_display_window(
 def _quantum(header: dict[str, Any], planes: list[np.ndarray]) -> tuple[float, tuple[str, ...]]:
     """How coarsely the values were rounded, relative, and the note where that can matter."""
     compression, halves = header["compression"], any(plane.dtype == np.float16 for plane in planes)
-    rounded = HALF if halves else 0.0
     if compression in _LOSSY or (halves and compression in _LOSSY_OF_HALF):
         level = float(header.get("dwaCompressionLevel", _USUAL_DWA_LEVEL)) / _USUAL_DWA_LEVEL
         name = compression.name.removesuffix("_COMPRESSION")
         lossy = LOSSY * (max(level, 0.25) if name.startswith("DWA") else 1.0)
         return lossy, (f"lossy compression ({name}): means over places are known to about {lossy:.1%}: write ZIP",)
     if halves:
-        return rounded, ()
+        return HALF, (HALF_NOTE,)
     return (_PXR24 if compression == OpenEXR.PXR24_COMPRESSION else 0.0), ()
 
 

@@ -640,4 +640,6 @@ def test_notes_and_rounding_of_replicates(tmp_path: Path):
     paths.append(write(tmp_path / "half.exr", {"RGB": RGB.astype(np.float16)}, **tail))
     found = images.replicates(paths)
     assert found.quantum == 2**-11
-    assert found.notes == [f"{paths[0]} and 3 more: 1000 pixels outside its data window are black"]
+    black, half = found.notes
+    assert black == f"{paths[0]} and 3 more: 1000 pixels outside its data window are black"
+    assert half.startswith(f"{paths[3]}: half floats")
