@@ -269,10 +269,12 @@ def pairs_of(meshes: tuple[Any, ...]) -> np.ndarray:
         plane = _planes(faces, some, shift)
         shared = _shared(plane)
         plane, here = plane[shared], some[shared]
-        seen = _overlapping(faces, here, plane, _free(faces, here, plane))
-        if len(seen):
-            hit = np.isin(plane, plane[np.isin(here, seen)])
-            found.append(_overlapping(faces, here[hit], plane[hit], np.ones(hit.sum(), np.bool_)))
+        free = _free(faces, here, plane)
+        seen = _overlapping(faces, here, plane, free)
+        hit = np.isin(plane, plane[np.isin(here, seen)])
+        if not free[hit].all():
+            seen = _overlapping(faces, here[hit], plane[hit], np.ones(hit.sum(), np.bool_))
+        found.append(seen)
     number = _distinct(np.concatenate(found) @ np.array([len(faces.owner), 1]))
     return np.column_stack(np.divmod(number, len(faces.owner)))
 
@@ -280,7 +282,9 @@ def pairs_of(meshes: tuple[Any, ...]) -> np.ndarray:
 def _overlapping(faces: Faces, here: np.ndarray, plane: np.ndarray, asking: np.ndarray) -> np.ndarray:
     """Coincident pairs (N, 2) among the faces `here` of equal `plane`, one of them at least `asking`."""
     found = [np.zeros((0, 2), np.int64)]
-    for pairs in _near(faces.corners[here].min(axis=1), faces.corners[here].max(axis=1), plane, asking):
+    a, b, c = np.moveaxis(faces.corners[here], 1, 0)
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    for pairs in _near(low, high, plane, asking):
         pairs = np.sort(here[pairs], axis=1)
         found.append(pairs[coincide(faces, *pairs.T)])
     return np.concatenate(found)
@@ -364,8 +368,10 @@ def _near(low: np.ndarray, high: np.ndarray, group: np.ndarray, asking: np.ndarr
         first, last = np.floor(low[here] / cell).astype(np.int64), np.floor(high[here] / cell).astype(np.int64)
         keys, boxes = [], []
         for corner in np.ndindex(2, 2, 2):
-            chosen = ((first < last) | (np.array(corner) == 0)).all(axis=1)
-            keys.append(_hashed(np.column_stack([group[here][chosen], np.where(corner, last, first)[chosen]])))
+            chosen = np.arange(len(here))
+            for axis in np.flatnonzero(corner):
+                chosen = chosen[first[chosen, axis] < last[chosen, axis]]
+            keys.append(_hashed(np.column_stack([group[here[chosen]], np.where(corner, last[chosen], first[chosen])])))
             boxes.append(here[chosen])
         key, box = np.concatenate(keys), np.concatenate(boxes)
         useful = np.isin(key, key[asking[box]])
@@ -374,8 +380,10 @@ def _near(low: np.ndarray, high: np.ndarray, group: np.ndarray, asking: np.ndarr
             a, b = box[a], box[b]
             meets = (asking[a] | asking[b]) & (np.maximum(level[a], level[b]) == each)
             a, b = a[meets], b[meets]
-            meets = ((low[a] <= high[b]) & (low[b] <= high[a])).all(axis=1)
-            yield np.column_stack([a[meets], b[meets]])
+            for axis in range(3):
+                meets = (low[a, axis] <= high[b, axis]) & (low[b, axis] <= high[a, axis])
+                a, b = a[meets], b[meets]
+            yield np.column_stack([a, b])
 
 
 def _hashed(rows: np.ndarray) -> np.ndarray:
