@@ -164,6 +164,49 @@ def test_a_proven_bias_inside_the_margin_is_still_a_bias(rng, replicates, pictur
     assert decide(statistics, tests=9, allowance=0.01, kernel=True).verdict == "EQUIVALENT"
 
 
+def test_what_is_proven_and_tolerated_is_said(rng, replicates, picture):
+    """-0.07 % at a standard error of 0.003 %: no error by the rule, and the sentence names it."""
+    ours, reference = (replicates(rng, gain * picture(32, 32), noise=0.003) for gain in (0.9993, 1.0))
+    verdict = judge(ours, reference)
+    assert verdict.verdict == "EQUIVALENT"
+    assert verdict.tolerated[0].startswith("mean of image, ")
+    assert "proven, but too small to be an error: mean of image, " in verdict.sentence
+    null = judge(*(replicates(rng, picture(32, 32), noise=0.003) for _ in range(2)))
+    assert null.tolerated == ()
+    assert "too small" not in null.sentence
+
+
+@pytest.mark.parametrize(("noise", "words"), [(0.0, ("BIASED",)), (0.3, ("UNDERPOWERED", "BIASED"))])
+def test_a_few_bright_pixels_hide_nothing(rng, replicates, picture, noise, words):
+    """Four pixels are 99 % of the light, all others 10 % off: the image's mean is right, and the image is not."""
+    mean, bright = picture(64, 64), np.zeros((64, 64, 1), dtype=bool)
+    bright[[5, 20, 50, 60], [7, 40, 10, 60]] = True
+    ours, reference = replicates(rng, 1.1 * mean, noise=0.1), replicates(rng, mean, noise=0.1)
+    for images in (ours, reference):
+        lamps = 1e5 * (rng.gamma(1 / noise**2, noise**2, (16, 64, 64, 1)) if noise else np.ones((16, 64, 64, 1)))
+        images[:] = np.where(bright, lamps, images)
+    verdict = judge(ours, reference)
+    assert abs(verdict.bias) < 0.002 or noise
+    assert verdict.verdict in words
+    assert any("8-px windows" in reason and "tile x" in reason for reason in verdict.reasons)
+
+
+def test_rounding_of_stored_values_is_no_bias(rng):
+    """A constant that half floats cannot hold, on one side alone: off by 0.02 %, which is the file format's."""
+    exact = np.full((8, 32, 32, 3), 0.3001) * rng.uniform(0.99, 1.01, (1, 32, 32, 1))
+    half = exact.astype(np.float16).astype(np.float32)
+    off = np.abs(half / exact - 1).max()
+    assert 1e-4 < off < 2**-11
+    plain = measure(half, exact[:1].astype(np.float32), exact=True)
+    known = measure(half, exact[:1].astype(np.float32), exact=True, quantum=(2**-11, 0.0))
+    assert np.any(plain.tiles[8].p_values() < 1e-6)
+    assert np.all(known.tiles[8].p_values() > 0.5)
+    doubled = measure(1.01 * half, exact[:1].astype(np.float32), exact=True, quantum=(2**-11, 0.0))
+    assert decide(doubled, tests=9).verdict == "BIASED"
+    with pytest.raises(ValueError, match="quantum is"):
+        measure(half, half, quantum=(-0.1, 0.0))
+
+
 def test_kernel_rows_print_the_shape_without_judging_it(rng, replicates, picture):
     mean = picture(32, 32)
     ramp = np.where(np.arange(32) < 16, 1.01, 0.99)[None, :, None]
