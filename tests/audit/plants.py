@@ -417,7 +417,7 @@ PLANTS = (
         "            sampler = Sampler(scratch.pixel[i], sample)\n            scratch.u[SIZE * k + i]",
         "            sampler = Sampler(np.uint64(7), sample)\n            scratch.u[SIZE * k + i]",
     ),
-    Plant("photons: power less by a 200th", PHOTON_MAP, _TRACING, "power /= emitted", "power *= 0.995 / emitted"),
+    Plant("photons: power less by 1 %", PHOTON_MAP, _TRACING, "power /= emitted", "power *= 0.99 / emitted"),
     Plant(
         "smooth normals not made unit vectors",
         SMOOTH,
@@ -572,7 +572,13 @@ PLANTS = (
         "        v *= 0.5\n        u -= v",
         "        v *= 0.5",
     ),
-    Plant("path: roulette by the number of the direction", PATH, _DIRECT, "ROULETTE = 5", "ROULETTE = BOUNCE"),
+    Plant(
+        "path: the same numbers at all vertices",
+        PATH,
+        _DIRECT,
+        "sampler = Sampler(fold(sampler.key, _PATH + vertex), sampler.index)",
+        "sampler = Sampler(sampler.key, sampler.index)",
+    ),
     Plant(
         "splitting: the last sample of a shared camera ray lost",
         AMBIENT,
@@ -582,13 +588,7 @@ PLANTS = (
     ),
     # Sky and camera.
     Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),
-    Plant(
-        "sky: rows of a texel in the wrong order",
-        BACKGROUND,
-        _SKY,
-        "return add(scale(top, 1.0 - fy), scale(bottom, fy))",
-        "return add(scale(top, fy), scale(bottom, 1.0 - fy))",
-    ),
+    Plant("sky: left for right", BACKGROUND, _SKY, "u = math.atan2(n.x, n.y)", "u = math.atan2(-n.x, n.y)"),
     Plant("sky: a panorama read by equal areas", PANORAMA, _SKY, "    if sky.equal_area:", "    if sky.radius > 0.0:"),
     Plant(
         "camera: width for height",
@@ -612,13 +612,6 @@ PLANTS = (
         "        u, v = sample_2d(sampler, FILM)\n        return 0.5 * u, 0.5 * v",
     ),
     # Geometry, and how a scene is read.
-    Plant(
-        "shadow rays: faces met from the front alone",
-        DIRECT,
-        "renderer/geometry/few.py",
-        "& _ALL & ~bits((low < below2) & (high > above2))",
-        "& _ALL & ~bits(low < below2)",
-    ),
     Plant(
         "tree: boxes up to the faces' middles",
         MESH,
