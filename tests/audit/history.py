@@ -57,6 +57,7 @@ def fallen(now: dict[str, Any], before: dict[str, Any]) -> list[str]:
         if kind not in before:  # the first runs had no awkward noise
             continue
         (alarms, runs), (earlier, of) = ((each[kind]["alarms"], each[kind]["runs"]) for each in (now, before))
-        if stats.fisher_exact([[alarms, runs - alarms], [earlier, of - earlier]], "greater")[1] < UNLIKELY:
+        more: Any = stats.fisher_exact([[alarms, runs - alarms], [earlier, of - earlier]], "greater")
+        if more.pvalue < UNLIKELY:
             found.append(f"{kind} nulls: {alarms} false alarms of {runs}, {earlier} of {of} on {before['date']}")
     return found
