@@ -17,11 +17,15 @@ import numpy as np
 from . import paths, rays
 from .terms import ambient
 
+FAR = 1e3  # of the camera, at the canonical scale: from further away Mitsuba's, in single precision, misses the pixel
+
 
 def serves(loaded: Any, limit: dict[str, Any]) -> bool:
     """Whether the limit is a built-in integrator's, in a scalar variant and with positions that the film can take."""
     description = loaded.description
     if dr.is_jit_v(mi.Float) or limit["transport"] == "physical" or description["camera"]["pixel"] != "jitter":
+        return False
+    if max(map(abs, description["camera"]["origin"])) > FAR:
         return False
     if limit["term"] == "ambient":
         return ambient.built_in(loaded, limit)

@@ -47,11 +47,16 @@ def first_hits(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> Geo
 
     canonical = Canonical.of(scene)
     points, vectors = canonical.points(origins), np.asarray(directions, np.float64)
+    # In double precision up to the ball that holds the scene, from where Mitsuba goes on in single.
+    middle, ball = -np.einsum("nx,nx->n", points, vectors), loaded.description["camera"]["ball"]
+    half_squared = ball**2 - np.sum((points + middle[:, None] * vectors) ** 2, axis=1)
+    ahead = np.where(half_squared > 0.0, np.maximum(middle - np.sqrt(np.maximum(half_squared, 0.0)), 0.0), 0.0)
+    points = points + ahead[:, None] * vectors
     intersect = _all_at_once if mi.variant() != "scalar_rgb" else _one_by_one
     depth, normal, thing, face = intersect(loaded.scenes["diffuse"], points, vectors)
     hit = thing >= 0
     return Geometry(
-        depth=np.where(hit, depth / canonical.scale, np.inf).astype(np.float32),
+        depth=np.where(hit, (ahead + depth) / canonical.scale, np.inf).astype(np.float32),
         normal=np.where(hit[:, None], normal, 0.0).astype(np.float32),
         object=thing.astype(np.int32),
         face=np.where(hit, face, -1).astype(np.int32),
