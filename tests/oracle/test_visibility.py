@@ -56,7 +56,7 @@ def test_a_cover_close_to_the_lamp_or_to_the_floor_lets_no_light_through(gap, be
 @pytest.mark.parametrize("scale", [2.0**-20, 1.0, 2.0**20])
 def test_a_cover_closer_than_single_precision_is_found_by_the_audit(scale):
     """1e-7 of the scene: the reference cannot tell, and is said to disagree with float64, with the place."""
-    finding = geometry_audit.audit(covered(6e-7 * scale, scale=scale), seed=1)
+    finding = geometry_audit.audit(covered(6e-7, scale=scale), seed=1)
     assert finding.place is not None
     assert "a light is seen from floor" in finding.place
     assert "and by float64 cover" in finding.place
@@ -166,9 +166,9 @@ def slab(side: float) -> Scene:
     )
 
 
-@pytest.mark.parametrize(("side", "agrees"), [(1e3, True), (1.2e12, False)])
+@pytest.mark.parametrize(("side", "agrees"), [(1e3, True), (1e6, False)])
 def test_no_verdict_where_single_precision_does_not_hold_the_scene(side, agrees):
-    """Points of a slab of 1.2e12 lie many pixels from where float64 has them: every term's reference fails."""
+    """Points of a slab of 1e6 lie most of a pixel from where float64 has them: every term's reference fails."""
     scene = slab(side)
     rows = audits.decide([], [geometry_audit.audit(scene, seed=1)])
     word, failed = audits.findings(rows, scene, [correct("direct", "first-hit")])
