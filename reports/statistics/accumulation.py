@@ -48,6 +48,8 @@ IMAGE = "image"
 BORDERS = ("top row", "bottom row", "left column", "right column")
 CELL = 4
 """Side of the blocks that tiles and windows are put together from."""
+_PART = 256
+"""Columns that are read at a time, whole tiles."""
 
 
 @attrs.frozen(eq=False)
@@ -278,30 +280,36 @@ class _Sums:
 
     def read(self, top: int, band: np.ndarray) -> None:
         """Add a band (n, rows, W, 3) of finite values that begins at row `top`."""
-        values = quantities(np.moveaxis(band, -1, 0))
-        self.brightest = max(self.brightest, float(band.max()))
-        self.reference_square += np.sum(values[:, self.sizes[0] :] ** 2, axis=(1, 2, 3))
         inside = self.mask[top : top + band.shape[1]].astype(np.float64)
-        sums = block_sums(values[1:], CELL)
-        self._rows.append(sums)
-        self._areas.append(block_sums(inside, CELL))
-        self.regions[0] += sums.sum(axis=(2, 3)).T
-        self.areas[0] += inside.sum()
+        self.brightest = max(self.brightest, float(band.max()))
         last = top + band.shape[1] == self.shape[0]
-        for border, line in zip(
-            self.borders, (band[:, 0] * (top == 0), band[:, -1] * last, band[:, :, 0], band[:, :, -1]), strict=True
-        ):
-            border += line.sum(axis=1)
-        values -= values.mean(axis=1, keepdims=True)
-        for side in self.products:
-            blocks = values
-            if side > 1:
-                blocks = block_sums(values, side) / np.sqrt(np.maximum(block_sums(inside, side), 1))
-            self.products[side] += [inner_products(each) for each in blocks]
-        of_pixels = [cumulants(each, axis=1) for each in (values[:, : self.sizes[0]], values[:, self.sizes[0] :])]
-        self._cumulants.append(block_sums(np.array(of_pixels), TILE_SIDES[0]))
+        lines = band[:, 0] * (top == 0), band[:, -1] * last, band[:, :, 0], band[:, :, -1]
+        self.borders += [line.sum(axis=1) for line in lines]
+        parts = (slice(left, left + _PART) for left in range(0, band.shape[2], _PART))
+        cells, of_pixels = zip(*(self._read_part(inside[:, part], band[:, :, part]) for part in parts), strict=True)
+        self._rows.append(np.concatenate(cells, axis=-1))
+        self._cumulants.append(np.concatenate(of_pixels, axis=-1))
+        self._areas.append(block_sums(inside, CELL))
+        self.regions[0] += self._rows[-1].sum(axis=(2, 3)).T
+        self.areas[0] += inside.sum()
         if self.objects is not None:
             self._read_objects(self.objects[top : top + band.shape[1]], band)
+
+    def _read_part(self, inside: np.ndarray, band: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sums over cells (3, n, ...) of a part that fits a cache, and the cumulants of its pixels (2, 2, 4, ...)."""
+        values = quantities(np.moveaxis(band, -1, 0))
+        reference = values[:, self.sizes[0] :].reshape(4, -1)
+        self.reference_square += np.einsum("ij,ij->i", reference, reference)
+        blocks = {1: values, 2: block_sums(values, 2)}
+        cells = block_sums(blocks[2], CELL // 2)
+        blocks[TILE_SIDES[0]] = block_sums(cells, TILE_SIDES[0] // CELL)
+        for side, each in blocks.items():
+            each -= each.mean(axis=1, keepdims=True)
+            if side > 1:
+                each /= np.sqrt(np.maximum(block_sums(inside, side), 1))
+            self.products[side] += [inner_products(quantity) for quantity in each]
+        of_pixels = [cumulants(each, axis=1) for each in (values[:, : self.sizes[0]], values[:, self.sizes[0] :])]
+        return cells[1:], block_sums(np.array(of_pixels), TILE_SIDES[0])
 
     def _read_objects(self, objects: np.ndarray, band: np.ndarray) -> None:
         at = np.asarray(objects).ravel()
@@ -447,5 +455,9 @@ def _means(sums: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def block_sums(values: np.ndarray, side: int) -> np.ndarray:
     """Sums over blocks of the last two axes; border blocks may be smaller."""
-    rows, columns = (np.arange(0, length, side) for length in values.shape[-2:])
-    return np.add.reduceat(np.add.reduceat(values, rows, axis=-2), columns, axis=-1)
+    for axis in (-2, -1):
+        parts = [values[(..., slice(k, None, side), *(slice(None),) * (-1 - axis))] for k in range(side)]
+        values = parts[0].copy()
+        for part in parts[1:]:
+            values[(..., slice(part.shape[axis]), *(slice(None),) * (-1 - axis))] += part
+    return values

@@ -134,6 +134,9 @@ class Invalid:
 
     def replaced(self, top: int, band: np.ndarray) -> np.ndarray:
         """The band with the reference's mean for what is not finite; ValueError for an invalid reference."""
+        least = -np.finfo(np.float32).max if self.allow_negative else 0.0
+        if band.min() >= least and band.max() <= np.finfo(np.float32).max:  # false for NaN
+            return band
         broken = ~(np.abs(band) <= np.finfo(np.float32).max)  # so written, it holds for NaN too
         wrong = broken if self.allow_negative else broken | (band < 0)
         if not wrong.any():

@@ -456,7 +456,8 @@ def _detectable(statistics: Statistics, level: float, limit: float) -> dict[str,
     place = 0.0 if statistics.reference_is_zero else PLACE_LIMIT
 
     def luminance(places: Comparison) -> np.ndarray:
-        return places.detectable(_place_level(places, level), place)[0]
+        count = places.bias[0].size
+        return places.at(np.arange(count)).detectable(level * SHARES[0] / count, place)
 
     shapes = [
         each.detectable(level * share, SHAPE_LIMITS[8] ** 2) ** 0.5

@@ -173,11 +173,10 @@ def cumulants(values: np.ndarray, axis: int = 0) -> np.ndarray:
     count = values.shape[axis]
     if count < 3:
         return np.zeros((2, *np.delete(values.shape, axis)))
-    off = values - values.mean(axis=axis, keepdims=True)
-    square = off * off
-    second = square.sum(axis=axis) / (count - 1)
-    square *= off
-    return np.array([second, square.sum(axis=axis) * (count / ((count - 1) * (count - 2)))])
+    off = np.moveaxis(values - values.mean(axis=axis, keepdims=True), axis, 0)
+    second = np.einsum("k...,k...->...", off, off) / (count - 1)
+    third = np.einsum("k...,k...->...", off * off, off) * (count / ((count - 1) * (count - 2)))
+    return np.array([second, third])
 
 
 def event_size(of_places: np.ndarray, count: int) -> np.ndarray:
