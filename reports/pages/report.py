@@ -36,6 +36,7 @@ _FIELDS = (
     "scene term variant kind scope against samples replicates reference_samples reference_replicates seconds "
     "reference_seconds compile_seconds rmse rmse_low rmse_high relmse ssim bias bias_low bias_high standard_error "
     "margin allowance tests family_low family_high rms_bias rms_bias_high place predicted_bias detectable_bias "
+    "detectable_shape detectable_border detectable_window "
     "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall "
     "reference_audit group at gain base setting reference_seconds_to_rmse speed_up command"
 ).split()
