@@ -169,7 +169,8 @@ def table(kind: str, shares: np.ndarray) -> str:
         " | ".join([f"{100 * size:g} %", *(f"{100 * share:.0f}" if share else " " for share in row)])
         for size, row in zip(SIZES, shares, strict=True)
     ]
-    return "\n".join(f"| {row} |" for row in [head, "|".join(["---:"] * (1 + len(areas))), *rows])
+    lines = [f"| {row} |" for row in (head, *rows)]
+    return "\n".join([lines[0], f"|{'---:|' * (1 + len(areas))}", *lines[1:]])
 
 
 def written(page: str, shares: dict[str, np.ndarray], named: dict[str, int], runs: int) -> str:
