@@ -28,6 +28,7 @@ def entry(results: dict[str, Any]) -> dict[str, Any]:
         "rendered": {"runs": results["null_runs"], "alarms": results["null_false_alarms"]},
         "ordinary": {"runs": results["ordinary_null_runs"], "alarms": results["ordinary_false_alarms"]},
         "awkward": {"runs": results["awkward_null_runs"], "alarms": results["awkward_false_alarms"]},
+        "laws": results["laws"],
         "seconds": round(results["seconds"]),
     }
 
@@ -53,11 +54,14 @@ def fallen(now: dict[str, Any], before: dict[str, Any]) -> list[str]:
         )
     if lost := [name for name in now["missed"] if name not in before["missed"]]:
         found.append(f"missed, but not on {before['date']}: {', '.join(lost)}")
-    for kind in ("rendered", "ordinary", "awkward"):
-        if kind not in before:  # the first runs had no awkward noise
-            continue
-        (alarms, runs), (earlier, of) = ((each[kind]["alarms"], each[kind]["runs"]) for each in (now, before))
-        more: Any = stats.fisher_exact([[alarms, runs - alarms], [earlier, of - earlier]], "greater")
-        if more.pvalue < UNLIKELY:
-            found.append(f"{kind} nulls: {alarms} false alarms of {runs}, {earlier} of {of} on {before['date']}")
+    kinds = {
+        f"{kind} nulls": (now[kind], before[kind]) for kind in ("rendered", "ordinary", "awkward") if kind in before
+    }
+    # The first runs had no awkward noise.
+    kinds |= {law: (each, before["laws"][law]) for law, each in now["laws"].items() if law in before.get("laws", {})}
+    for kind, each in kinds.items():
+        (alarms, runs), (earlier, of) = ((side["alarms"], side["runs"]) for side in each)
+        # Fisher's exact test.
+        if stats.hypergeom.sf(alarms - 1, runs + of, alarms + earlier, runs) < UNLIKELY:
+            found.append(f"{kind}: {alarms} false alarms of {runs}, {earlier} of {of} on {before['date']}")
     return found

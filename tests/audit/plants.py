@@ -478,11 +478,11 @@ PLANTS = (
         "np.maximum(1, np.floor(first * share)) - 1, 0)",
     ),
     Plant(
-        "passes: a radius that does not shrink",
+        "passes: the radius taken for a diameter",
         PHOTON_MAP,
         _TILES,
         "radius=photon_map.progressive_radius(photons.radius, index),",
-        "radius=photons.radius,",
+        "radius=2.0 * photon_map.progressive_radius(photons.radius, index),",
     ),
     Plant(
         "kept maps: those of all photons taken for the scattered ones",
