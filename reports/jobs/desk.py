@@ -94,7 +94,7 @@ class Desk:
     def beside(self, study: Repeated) -> "Desk":
         """A desk of other repetitions, in the same cache and by the same executor, that books into the same ledger."""
         other = Desk(study, self._cache, executor=self._executor, report=self._report)
-        other.ledger, other._compile_seconds = self.ledger, self._compile_seconds
+        other.ledger, other.hosts, other._compile_seconds = self.ledger, self.hosts, self._compile_seconds
         return other
 
     def say(self, what: str) -> None:
