@@ -41,7 +41,7 @@ class _Layer:
 def read(path: Path, layer: str | None) -> list[Image]:
     """The image of one layer; a ValueError says what is wrong, or which layers there are."""
     headers = _headers(path)
-    return _images(path, headers, [_chosen(path, _layers(headers), layer)])
+    return _images(path, headers, [_chosen(path, headers, layer)])
 
 
 def read_all(path: Path) -> dict[str, Image]:
@@ -111,10 +111,15 @@ def _title(part: str, name: str, several: bool) -> str:
     return name if not several or not part or f"{name}.".startswith(f"{part}.") else f"{part}.{name}"
 
 
-def _chosen(path: Path, layers: dict[str, _Layer], layer: str | None) -> _Layer:
+def _chosen(path: Path, headers: list[dict[str, Any]], layer: str | None) -> _Layer:
+    layers = _layers(headers)
     names = ", ".join(map(repr, layers))
     if not layers:
-        raise ValueError(f"{path}: holds no colour: allowed are layers with R, G and B, or Y, or Y, RY and BY")
+        channels = [channel.name for header in headers for channel in header["channels"]]
+        there = ", ".join(channels[:12]) + (f" and {len(channels) - 12} more" if channels[12:] else "")
+        raise ValueError(
+            f"{path}: holds no colour, only {there}: allowed are layers with R, G and B, or Y, or Y, RY and BY"
+        )
     if layer is None:
         if len(layers) > 1:
             way = "allowed is one, or to name one (judge: --layer, --reference-layer)"
@@ -241,15 +246,18 @@ def _quantum(header: dict[str, Any], planes: list[np.ndarray]) -> tuple[float, t
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
     """Without what the library prints, by way of Python, and what it writes to standard error past it."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    try:
-        with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+        if sys.stderr is None:  # closed: nothing would be heard
+            yield
+            return
+        sys.stderr.flush()
+        kept = os.dup(2)
+        try:
             os.dup2(nowhere.fileno(), 2)
             yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def _said(error: Exception) -> str:
