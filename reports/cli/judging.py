@@ -15,7 +15,7 @@ from termwise.reports.statistics.verdict import LEVEL, MARGIN
 
 def judge(
     *images: Path,
-    reference: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
+    reference: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative="")] = None,
     suite: Path | None = None,
     require: Require = "unbiased",
     margin: float = MARGIN,

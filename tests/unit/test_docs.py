@@ -119,13 +119,15 @@ def test_make_has_its_targets(path: Path):
         assert not found or found[1] in targets, line
 
 
-def test_the_readmes_verdict():
+def test_the_readmes_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """On images made here."""
+    monkeypatch.chdir(tmp_path)
     (block,) = fenced(README, "python")
     random = np.random.default_rng(1)
     names = {name: random.gamma(4.0, 0.25, (8, 16, 16, 3)) for name in ("images", "reference")}
     exec(block, names)
     assert names["verdict"].sentence  # type: ignore[attr-defined]
+    assert (tmp_path / "out/mine/index.html").is_file()
 
 
 def test_the_example_is_the_one_that_is_printed():

@@ -217,6 +217,10 @@ def test_what_holds_replicates_is_taken(draw: Draw, tmp_path: Path):
     for given in (list(ours), tmp_path / "mine", str(tmp_path / "mine"), files, [str(path) for path in files]):
         assert termwise.judge(given, reference).bias == pytest.approx(expected, rel=1e-12)
     assert termwise.judge(tmp_path / "mine", tmp_path / "ref").settings["images"][0].endswith("00.exr")
+    kept = TermImage.from_replicates(ours, samples=64, seconds=8.0, keep=True)
+    judgement = termwise.judge(kept, reference, margin=0.0005)
+    assert judgement.bias == pytest.approx(expected, rel=1e-12)
+    assert judgement.samples_to_margin == np.ceil(64 * (judgement.samples_ratio or 0))
     with pytest.raises(ValueError, match="images: holds its mean alone"):
         termwise.judge(TermImage(PICTURE, PICTURE, 1, 4, 0.0), reference)
 
