@@ -67,7 +67,8 @@ class SceneArrays(NamedTuple):
 
     `faint` is the throughput below which the roulette plays for a specular chain, 0 for never; `pick_by_light` whether
     light sampling chooses among the emitters by what they may send to a point; `light_samples` how many light samples
-    stand beside one estimate by photons; `irradiance_factor` multiplies direct light; `ignore_object`, `face_forward`
+    stand beside one estimate by photons; `most_survival` the most that a roulette of light lets live;
+    `irradiance_factor` multiplies direct light; `ignore_object`, `face_forward`
     and `watertight` are the settings `ignore`, `normals` and `intersection` of the scene.
     """
 
@@ -84,6 +85,7 @@ class SceneArrays(NamedTuple):
     faint: float
     pick_by_light: bool
     light_samples: int
+    most_survival: float
     irradiance_factor: float
     ignore_object: bool
     face_forward: bool
@@ -95,6 +97,8 @@ class SceneArrays(NamedTuple):
 # A chain of less throughput goes on with probability throughput / FAINT, at the throughput FAINT: unbiased, and faster
 # where most samples weigh next to nothing. Paths of direct light play by it too.
 FAINT = 0.1
+# Below 1, so that a path in a closed box of albedo 1 ends; 1 / P keeps the mean.
+MAX_SURVIVAL, ENDLESS = 0.99, 0.9999
 # Emitters among which light sampling chooses by what they may send to the point. Two are the halves of a rectangle; the
 # choice looks at each, which costs too much among many.
 FEW_EMITTERS, MANY_EMITTERS = 2, 512
@@ -106,6 +110,16 @@ def light_samples(scene: Scene, without: Collection[str] = ()) -> int:
     """How many light samples stand beside one estimate by photons: one where all samples of the light are alike."""
     single = "splitting" in without or scene.scope != "all" or not samples_differ(scene)
     return 1 if single else LIGHT_SAMPLES
+
+
+def most_survival(scene: Scene) -> float:
+    """MAX_SURVIVAL, or the largest albedo where that is more.
+
+    Throughput, times a / P a vertex, then never grows; with P = 0.99 its variance in a closed box is infinite from
+    a = 0.995 on.
+    """
+    brightest = max((max(scene.diffuse_weight(thing.surface)) for thing in scene.objects), default=0.0)
+    return max(MAX_SURVIVAL, min(brightest, ENDLESS))
 
 
 def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
@@ -125,6 +139,7 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
         0.0 if "roulette" in without else FAINT,
         "lights" not in without and FEW_EMITTERS < len(emitters.kind) <= MANY_EMITTERS,
         light_samples(scene, without),
+        most_survival(scene),
         scene.irradiance_factor,
         scene.ignore == "object",
         scene.normals == "viewer",

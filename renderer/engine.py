@@ -15,7 +15,7 @@ import numpy as np
 
 from termwise.renderer import photon_map, photon_tracing
 from termwise.renderer.adaptive import PILOT, SIDE, shares
-from termwise.renderer.arrays import SceneArrays, from_scene
+from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays, from_scene, most_survival
 from termwise.renderer.film import GeometryImages, Tile, trace_centres
 from termwise.renderer.jit import warm
 from termwise.renderer.plan import (
@@ -412,6 +412,7 @@ class Engine:
             full=photons.scattering == "full" and task.variant.term == "direct",
             independent=by_nearest,
             aimed=not by_nearest and "aimed" not in self.without,
+            most=MAX_SURVIVAL if task.stored == "unweighted" else most_survival(self.scene),
         )
 
     def _photons(

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights import emit_photon
@@ -31,8 +31,6 @@ from termwise.renderer.surface import Surface, trace
 from termwise.renderer.vector import Vec3, dot, frame, is_black, max_component, mul, scale, to_local, to_world, vec3
 from termwise.renderer.warp import square_to_cosine_hemisphere
 
-# Below 1, so that a path in a closed box of albedo 1 ends; 1 / P keeps the mean.
-MAX_SURVIVAL = 0.99
 _CHUNK = 4096
 _STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pixel
 _VERTEX = 16  # keys of a photon's vertices: beyond the pairs of its emission
@@ -46,7 +44,7 @@ class Scattering(NamedTuple):
 
     Attributes
     ----------
-    survival : P, at most MAX_SURVIVAL of it; 0: the largest channel of what the photon would carry on.
+    survival : P, at most `most` of it; 0: the largest channel of what the photon would carry on.
     weighted : whether survivors are multiplied by weight / P.
     full : whether they scatter on the specular lobe too.
     independent : whether each photon has randomness of its own. Else all photons of a map share one low-discrepancy
@@ -55,6 +53,7 @@ class Scattering(NamedTuple):
         times too bright).
     aimed : whether point lights emit into the cone around the scene alone, fewer photons of the same flux: those that
         are left out meet nothing. Not for a search of the k nearest, whose mean depends on how many are emitted.
+    most : see `arrays.most_survival`; MAX_SURVIVAL where survivors are not weighted, for there P is what is meant.
     """
 
     survival: float
@@ -62,6 +61,7 @@ class Scattering(NamedTuple):
     full: bool
     independent: bool
     aimed: bool
+    most: float = MAX_SURVIVAL
 
 
 @device
@@ -106,7 +106,7 @@ def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sa
         # The BRDF is reciprocal: the photon's w_i is sampled as a view's would be.
         wi, weight = sample_lobe(to_local(local, surface.wo), alpha, f0, u, v)
         weight = scale(weight, gloss / (1.0 - share))
-    survival = min(MAX_SURVIVAL, rule.survival if rule.survival > 0.0 else max_component(weight))
+    survival = min(rule.most, rule.survival if rule.survival > 0.0 else max_component(weight))
     if sample_1d(sampler, _ROULETTE) >= survival:
         return black, black
     heading = to_world(local, wi)

@@ -321,8 +321,8 @@ class Photons:
     nearest : k of the paper's search.
     kernel : the kernel of a radius; all three are named in `scenes.limits.Kernel`.
     survival : probability that a photon survives the roulette at any surface that is not black, of which at most 0.99
-        is used; None: the largest channel of what it would carry on. Any value has the same mean, but below the square
-        of an albedo the variance may be infinite.
+        is used, or the scene's largest albedo above that; None: the largest channel of what it would carry on. Any
+        value has the same mean, but below the square of an albedo the variance may be infinite.
     scattering : on what the photons of the direct term scatter: "diffuse", the diffuse part alone, or "full", the
         specular lobe too, so that the term holds the light that glossy surfaces throw (caustics). The chain of the
         specular term keeps "diffuse", which its integral means.

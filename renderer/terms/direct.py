@@ -18,7 +18,6 @@ from termwise.renderer.lights import sample_light
 from termwise.renderer.material import diffuse_weight
 from termwise.renderer.photon_map import PhotonMap, estimate_irradiance
 from termwise.renderer.photon_search import nearest_irradiance
-from termwise.renderer.photon_tracing import MAX_SURVIVAL
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
@@ -75,7 +74,7 @@ def _reflected(scene: SceneArrays, surface: Surface, straight: Vec3, scattered: 
 def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch: Scratch) -> Vec3:
     """E_all by a diffusely scattered path with light sampling at every vertex. Unbiased at any N.
 
-    A path of throughput t goes on with probability t / FAINT, at most MAX_SURVIVAL, and is divided by it.
+    A path of throughput t goes on with probability t / FAINT, at most `most_survival`, and is divided by it.
     """
     weight = diffuse_weight(scene, surface)
     if scene.skips.diffuse and is_black(weight):
@@ -91,7 +90,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
         if surface.face < 0:
             break
         throughput = mul(throughput, diffuse_weight(scene, surface))
-        survival = min(MAX_SURVIVAL, max_component(throughput) / FAINT)
+        survival = min(scene.most_survival, max_component(throughput) / FAINT)
         if sample_1d(sampler, ROULETTE) >= survival:
             break
         throughput = scale(throughput, 1.0 / survival)

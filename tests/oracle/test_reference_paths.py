@@ -49,6 +49,19 @@ def test_no_light_is_lost_in_a_closed_room(color: Color, by_second: bool):
     np.testing.assert_array_less(np.abs(mean - right), 5.5 * error + 0.01 * (4 * np.pi / 12.5) * np.array(color))
 
 
+def test_our_paths_have_a_finite_variance_there_too():
+    """Albedo 0.998: survival of 0.99 at most, as it was, let a throughput grow without end.
+
+    The length of a path is geometric, so that the standard error of N of them is their mean over √N.
+    """
+    scene = attrs.evolve(ball((0.998, 0.998, 0.998)), resolution=(8, 8))
+    image = renderer.render(scene, "direct", variant="path", samples=16, replicates=8, seed=3)
+    right = light_in(scene)[0]
+    error = np.sqrt(image.variance[..., 0].mean() / 64)
+    assert error < 2.0 * right / np.sqrt(8 * 16 * 64)
+    assert abs(image.mean[..., 0].mean() - right) < 4.5 * error
+
+
 @pytest.mark.parametrize("limit", [ALL, physical("direct")])
 def test_a_room_that_no_light_leaves_is_refused(limit: Limit):
     """White walls all round: the integral is infinite, and the message says what is left after how many."""
