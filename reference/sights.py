@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import rays
-from .wavefront import camera_ray, idle, rowwise, shape_pointer
+from .wavefront import camera_ray, idle, rowwise
 
 
 class Sights(NamedTuple):
@@ -64,23 +64,27 @@ def sights(
         they were met.
     """
     scene = loaded.scenes["direct"]
-    shapes = [shape_pointer(shape) for shape in scene.shapes()]
+    shapes = scene.shapes()
+
+    def named(shape: Any) -> Any:
+        # Told here and compared outside, so that one compiled kernel serves all scenes.
+        return dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)) if dr.is_jit_v(mi.Float) else shapes.index(shape)
 
     def see(origin: Any, direction: Any, target: Any, normal: Any, leaving: Any) -> tuple[Any, ...]:
         si = scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(direction)))
         met = si.is_valid()
         if idle(met):
             return si.p, mi.Int32(-1), mi.Int32(-1), mi.Int32(0), origin, leaving
-        thing = mi.Int32(-1)
-        for number, shape in enumerate(shapes):
-            thing = dr.select(met & (si.shape == shape), number, thing)
         # A variant without lanes has its images from Mitsuba's own integrators (see `film`), and so its shadow rays.
         own = rays.segment(si, target, mi.Normal3f(normal)) if dr.is_jit_v(mi.Float) else si.spawn_ray_to(target)
         hidden = rays.blocked(loaded, scene, si, own, met)
         away = mi.Vector3f(leaving) * dr.sign(-dr.dot(si.n, leaving) * dr.dot(si.n, direction))
         ray, _ = rays.leave(loaded, scene, si, rays.spawn(si, away), met)
         face = dr.select(met, mi.Int32(si.prim_index), -1)
-        return si.p, thing, face, dr.select(hidden, mi.Int32(1), 0), ray.o, ray.d
+        return si.p, named(si.shape), face, dr.select(hidden, mi.Int32(1), 0), ray.o, ray.d
 
-    position, thing, face, hidden, *left = rowwise(see, origin, direction, target, normal, leaving)
-    return Sights(position, thing.astype(np.int64), face.astype(np.int64), hidden.astype(bool), *left)
+    position, shape, face, hidden, *left = rowwise(see, origin, direction, target, normal, leaving)
+    thing = np.full(len(shape), -1)
+    for number, each in enumerate(shapes):
+        thing[(shape == np.array(named(each))) & (face >= 0)] = number
+    return Sights(position, thing, face.astype(np.int64), hidden.astype(bool), *left)
