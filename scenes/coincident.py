@@ -112,17 +112,18 @@ def counted_once(objects: tuple[Any, ...], position: tuple[float, ...]) -> tuple
     looks = [thing.surface for thing in objects]
     number = np.array([looks.index(look) for look in looks])
     emits = np.array([thing.emits for thing in objects], np.bool_)
-    unlike = (number[of_first] != number[of_second]) | ~_shaded_alike(meshes, faces, first, second)
-    bad = np.flatnonzero(unlike | emits[of_first] | emits[of_second])
+    unlike = number[of_first] != number[of_second]
+    bad = np.flatnonzero(unlike | emits[of_first] | emits[of_second] | ~_shaded_alike(meshes, faces, first, second))
     if len(bad):
         one, other = objects[of_first[bad[0]]], objects[of_second[bad[0]]]
         names = f"{one.name!r} and {other.name!r} lie" if one is not other else f"two faces of {one.name!r} lie"
         small = second if faces.height[second[bad[0]]] <= faces.height[first[bad[0]]] else first
         place = ", ".join(f"{x:.4g}" for x in faces.corners[small[bad[0]]].mean(axis=0))
-        why = "give light" if one.emits or other.emits else "differ"
+        why = "differ in material" if unlike[bad[0]] else "differ in their shading normals"
+        why = "give light" if one.emits or other.emits else why
         raise ValueError(
             f"objects: {names} in one plane, one over the other, near ({place}), and {why}, so that there is no answer "
-            "which of them is seen: allowed are one of the two, equal materials, or a gap between them"
+            "which of them is seen: allowed are one of the two, equal looks, or a gap between them"
         )
     return _without(objects, faces, first, second)
 
@@ -141,7 +142,7 @@ def _sealed(objects: Sequence[Any], faces: Faces, pairs: np.ndarray, eye: np.nda
     rounding = ROUNDING * np.abs(points).max()
     ways = np.array([way for way in np.ndindex(3, 3, 3) if way != (1, 1, 1)]) - 1
     extreme = np.r_[eye[None], points[(points @ ways.T).argmax(axis=0)]]
-    planes = _planes(faces, pairs[:, 0], 0.0)
+    planes = _cells(_planes(faces, pairs[:, 0]), 0.0)
     for column, sign in ((0, 1.0), (1, -1.0)):
         height = sign * np.einsum("nx,nx->n", faces.corners[pairs[:, 0], 0], normals) + rounding
         asked = np.flatnonzero(~sealed[:, column] & ((sign * normals @ extreme.T).max(axis=1) <= height))
@@ -263,10 +264,11 @@ def pairs_of(meshes: tuple[Any, ...]) -> np.ndarray:
     """Coincident faces of the meshes' list: (N, 2), the earlier one first."""
     faces = faces_of(meshes)
     some = np.flatnonzero(faces.height > 0)
+    planes = _planes(faces, some)
     found = [np.zeros((0, 2), np.int64)]
     # Near the border of a cell two faces of one plane may be parted: not in the cells that are shifted by half of one.
     for shift in (0.0, 0.5):
-        plane = _planes(faces, some, shift)
+        plane = _cells(planes, shift)
         shared = _shared(plane)
         plane, here = plane[shared], some[shared]
         free = _free(faces, here, plane)
@@ -313,17 +315,24 @@ def coincide(faces: Faces, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return found
 
 
-def _planes(faces: Faces, some: np.ndarray, shift: float) -> np.ndarray:
-    """(N,) keys: equal for faces whose planes lie in one cell, whatever their orientation."""
+def _planes(faces: Faces, some: np.ndarray) -> np.ndarray:
+    """(N, 3) coordinates of the planes of faces, in cells: equal for both orientations of one."""
     if len(some) == 0:
-        return some
+        return np.zeros((0, 3))
     low, high = faces.corners[some].min(axis=(0, 1)), faces.corners[some].max(axis=(0, 1))
     normals = faces.normals[some]
     # n n^T and the foot of the scene's centre do not turn with the face; three projections tell planes apart.
     offset = np.einsum("fx,fx->f", faces.corners[some, 0] - (low + high) / 2, normals) / (high - low).max()
-    square = np.einsum("fx,fy->fxy", normals, normals).reshape(-1, 9)
-    coordinates = np.hstack([square, normals * offset[:, None]]) @ np.random.default_rng(0).normal(size=(12, 3))
-    return _hashed(np.floor(coordinates / _CELL + shift).astype(np.int64))
+    of_foot, *of_square = np.random.default_rng(0).normal(size=(4, 3, 3)) / _CELL
+    turned = (normals * offset[:, None]) @ of_foot
+    for axis in range(3):
+        turned += (normals * normals[:, axis, None]) @ of_square[axis]
+    return turned
+
+
+def _cells(planes: np.ndarray, shift: float) -> np.ndarray:
+    """(N,) keys: equal for planes of one cell."""
+    return _hashed(np.floor(planes + shift).astype(np.int64))
 
 
 def _free(faces: Faces, here: np.ndarray, plane: np.ndarray) -> np.ndarray:
@@ -407,6 +416,15 @@ def _together(keys: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         if len(left) == 0:
             return
         yield order[left], order[left + step]
+
+
+def repeated(faces: np.ndarray) -> np.ndarray:
+    """Which faces (F, 3) have the corners of an earlier one, in any order, (F,) bool."""
+    keys = _hashed(np.sort(faces, axis=1))
+    order = np.argsort(keys, kind="stable")
+    again = np.zeros(len(faces), np.bool_)
+    again[order[1:]] = keys[order][1:] == keys[order][:-1]
+    return again
 
 
 def _shared(keys: np.ndarray) -> np.ndarray:

@@ -171,6 +171,7 @@ def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     _, places = np.unique(vertices + 0.0, axis=0, return_inverse=True)  # -0.0 is 0.0
     corners = vertices[faces]
     weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weighted[coincident.repeated(faces)] = 0.0  # in the other winding it would take its normal away again
     normals = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(normals, places[faces[:, corner]], weighted)

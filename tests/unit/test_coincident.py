@@ -159,6 +159,19 @@ def test_faces_listed_twice_count_once(tmp_path: Path):
     assert area == pytest.approx(2.4, rel=1e-6)
 
 
+def test_a_smooth_mesh_in_both_windings_is_shaded_as_one():
+    """Area-weighted normals of two windings would cancel; what is shaded otherwise is refused."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    plain = Mesh.from_arrays(ball.vertices, ball.faces, smooth=True)
+    twice = Mesh.from_arrays(ball.vertices, np.concatenate([ball.faces, ball.faces[:, ::-1]]), smooth=True)
+    (left,) = Scene("ball", CAMERA, (Object("ball", twice, RED),)).objects
+    np.testing.assert_array_equal(left.mesh.faces, plain.faces)
+    np.testing.assert_array_equal(left.mesh.normals, plain.normals)
+    flat = Object("flat", Mesh.from_arrays(ball.vertices, ball.faces), RED)
+    with pytest.raises(ValueError, match="'flat' and 'smooth' lie in one plane.*differ in their shading normals"):
+        Scene("balls", CAMERA, (flat, Object("smooth", plain, RED)))
+
+
 def test_a_camera_on_a_face_is_refused():
     """In the face it is; beside it, in its plane, and a little off it, it is not."""
     for position, fine in [
