@@ -75,8 +75,10 @@ def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree):
 
 def test_a_crash_catches_nothing(tree):
     """A fault that ends the process is no catch of the verdict: it ends the audit, by name."""
-    first = "from termwise.renderer.engine import Engine, whole"
-    crash = attrs.evolve(GAIN, path="renderer/__init__.py", before=first, after='raise ArithmeticError("planted")')
+    first = '"""The paper'
+    crash = attrs.evolve(
+        GAIN, path="renderer/__init__.py", before=first, after=f'raise ArithmeticError("planted")\n{first}'
+    )
     with pytest.raises(RuntimeError, match="planted"):
         tree.replicates(TINY, crash)
 
