@@ -21,6 +21,8 @@ from termwise.reports.statistics import verdict
 NOTEBOOK_SIDE = 256
 """Pixels of the longer side of a picture in a notebook, at most."""
 THUMBNAIL_SIDE = 160
+VIEWED_PIXELS = 2**20
+"""Of the largest image that gets a viewer: one of 1080p would add 150 MB, and half a minute."""
 _LISTED = "results.json", "results.nc", "images.exr"
 _COLOURS = {"bad": ("#8c1d00", "#fddfd3"), "open": ("#634400", "#fbecc4"), "good": ("#00543f", "#d9f0e7")}
 
@@ -67,7 +69,7 @@ def write(folder: Path, *, root: str = "") -> Path:
     picture("thumbnail", _reduced(shown, THUMBNAIL_SIDE))
     row = results["verdict"]
     viewed = None
-    if row["verdict"] != "ABSENT":
+    if row["verdict"] != "ABSENT" and ours[..., 0].size <= VIEWED_PIXELS:
         written = viewer.write_data(folder, _Pair(dataset, row, results["settings"]))
         viewed = None if written is None else written | {"against": {"own": "reference"}}
     index = folder / "index.html"
@@ -81,6 +83,7 @@ def write(folder: Path, *, root: str = "") -> Path:
         versions=results["versions"],
         drawn=drawn,
         viewed=viewed,
+        viewable=VIEWED_PIXELS,
         beside="",  # its pixels are, whatever the root of styles
         words=WORDS,
         rule=verdict,

@@ -252,3 +252,13 @@ def test_the_docstring_stands_on_its_own():
 def test_a_case_has_a_folder_of_its_own_within_the_suite(name: str):
     assert "/" not in slug(name)
     assert slug(name).strip(".")
+
+
+def test_an_image_too_large_for_the_viewer_says_so(draw: Draw, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from termwise.reports.pages import judge as page
+
+    monkeypatch.setattr(page, "VIEWED_PIXELS", SIZE * SIZE - 1)
+    text = termwise.judge(draw(), draw()).save(tmp_path).read_text("utf-8")
+    assert "have no viewer" in text
+    assert 'id="viewer"' not in text
+    assert not (tmp_path / "data").exists()
