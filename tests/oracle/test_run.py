@@ -193,7 +193,8 @@ def test_the_level_counts_the_tests_of_all_judged_rows(results: dict[str, Any]):
 
 def test_an_allowance_is_for_the_light_of_photons_alone(results: dict[str, Any]):
     """A plane throws no light on itself: of 1 % of the scattered light next to nothing is left."""
-    kernel = [r for r in results["cells"] if (r["variant"], r["against"]) in (("next-event", "own"), ("default", "own"))]
+    of_photons = ("next-event", "own"), ("default", "own")
+    kernel = [row for row in results["cells"] if (row["variant"], row["against"]) in of_photons]
     assert len(kernel) == 3
     assert all(0 <= row["allowance"] < 1e-3 for row in kernel)
 
