@@ -60,14 +60,15 @@ class Estimate:
     def detectable(self, level: float, least: float) -> float:
         """Smallest mean square whose lower bound is above `least` in 80 % of the runs.
 
-        Of B blocks with noise V each, `s² = 2 V²/B` without an error and `s² (1 + 2 θ/V)` with one of mean square θ.
+        Of B blocks with noise V each, the jackknife has `s² = 4 V²/B` where there is no error, twice the variance that
+        θ then has, and `s² (1 + θ/V)` where its mean square is θ.
         """
         quantile = float(student.isf(level, self.dof) + student.isf(1 - POWER, self.dof))
         if self.noise == 0:
             return least + quantile * self.standard_error
-        variance = self.standard_error**2 / (1 + 2 * max(self.value, 0.0) / self.noise)
-        # (θ - least)² = quantile² s² (1 + 2 θ/V), solved for θ.
-        half = least + quantile**2 * variance / self.noise
+        variance = self.standard_error**2 / (1 + max(self.value, 0.0) / self.noise)
+        # (θ - least)² = quantile² s² (1 + θ/V), solved for θ.
+        half = least + quantile**2 * variance / (2 * self.noise)
         return half + float(np.sqrt(half**2 - least**2 + quantile**2 * variance))
 
 

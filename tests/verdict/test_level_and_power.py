@@ -156,6 +156,29 @@ def test_the_detectable_bias_is_found_in_80_percent_of_runs():
     assert 0.74 <= share_found(np.random.default_rng(15), 200) <= 0.86
 
 
+@pytest.mark.slow
+def test_the_detectable_border_and_shape_are_found_in_80_percent_of_runs(replicates, picture):
+    """Each of 60 runs gets, over the 8-px tiles of red and in its noisiest border, what it prints.
+
+    Expected: found in 80 % ± 3 s.d.; the border by its channels as well, so that more find it.
+    """
+    rng, mean = np.random.default_rng(20), picture(64, 64)
+    signs = (np.indices((8, 8)).sum(axis=0) % 2 * 2.0 - 1).repeat(8, axis=0).repeat(8, axis=1)[..., None]
+    found = np.zeros(2)
+    for _ in range(60):
+        ours, reference = (replicates(rng, mean, noise=0.2).astype(np.float64) for _ in range(2))
+        before = decide(measure(ours, reference), tests=RUN)
+        tiles = ours + before.detectable_shape * signs * reference.mean(axis=(0, 1, 2)) * [1.0, 0.0, 0.0]
+        reasons = decide(measure(tiles, reference), tests=RUN).reasons
+        found[0] += any(reason.startswith("shape over 8-px tiles, red") for reason in reasons)
+        borders = [(slice(None), 0), (slice(None), -1), (slice(None), slice(None), 0), (slice(None), slice(None), -1)]
+        noisiest = max(borders, key=lambda at: reference[at].mean(axis=(1, 2)).std() / reference[at].mean())
+        ours[noisiest] += before.detectable_border * reference[noisiest].mean(axis=0)
+        found[1] += any("outermost" in reason for reason in decide(measure(ours, reference), tests=RUN).reasons)
+    assert np.all(found >= 0.8 * 60 - 3 * np.sqrt(60 * 0.8 * 0.2)), found
+    assert found[0] <= 0.8 * 60 + 3 * np.sqrt(60 * 0.8 * 0.2), found
+
+
 def test_samples_to_margin_is_what_it_takes(replicates, picture):
     """A noisy row prints the samples for EQUIVALENT at a power of 80 %; with those samples it holds in 60 runs.
 
