@@ -9,7 +9,7 @@ that hides an error is no explanation of it.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import attrs
 import numpy as np
@@ -128,6 +128,15 @@ class _Halves:
         """Of each side."""
         return (self.ours[0] + self.ours[1]) / 2, (self.reference[0] + self.reference[1]) / 2
 
+    @property
+    def grey(self) -> "_Halves":
+        """Of luminance alone, a channel of it."""
+
+        def luminance(pair: tuple[Image, Image]) -> tuple[Image, Image]:
+            return luminance_of(pair[0])[..., None], luminance_of(pair[1])[..., None]
+
+        return _Halves(luminance(self.ours), luminance(self.reference))
+
     def left(self, correction: Correction) -> float:
         """Mean square error that a correction leaves, without noise: a product of two halves has none in its mean."""
         first, second = (
@@ -177,7 +186,7 @@ def hints(
         return Hint(f"agrees if {correction.text}", left, str(verdict))
 
     border = tried(_BORDER)
-    singles = list(_singles(ours, *halves.means, statistics))
+    singles = list(_singles(ours, halves, statistics))
     if border:  # what leaves out more than the border is explained by that alone
         singles = [each for each in singles if not each.margin]
     found = [hint for each in _promising(singles, halves) if (hint := tried(each))] + ([border] if border else [])
@@ -254,13 +263,7 @@ def _promising(corrections: list[Correction], halves: _Halves, best: int | None 
     base = {each: _seen(halves, each) for each in {each.margin for each in corrections}}
     order = sorted(range(len(corrections)), key=left.__getitem__)
     good = [each for i in order if (each := corrections[i]).always or left[i] < _PROMISING * base[each.margin]]
-    # Of shifts, neighbours explain as well: the best one is tried.
-    seen = set()
-    for each in good[:best]:
-        kind = each.text.partition(" by ")[0] if each.moves and each.margin else each.text
-        if kind not in seen:
-            seen.add(kind)
-            yield each
+    yield from good[:best]
 
 
 def _seen(halves: _Halves, margin: int) -> float:
@@ -269,8 +272,9 @@ def _seen(halves: _Halves, margin: int) -> float:
     return found if found > _SURE * halves.noise(margin) else 0.0
 
 
-def _singles(stack: np.ndarray, ours: Image, reference: Image, statistics: Statistics) -> Iterator[Correction]:
+def _singles(stack: np.ndarray, halves: _Halves, statistics: Statistics) -> Iterator[Correction]:
     """All simple causes, with what has to be fitted fitted to the mean images."""
+    ours, reference = halves.means
     yield Correction("ours is flipped upside down", lambda image: image[::-1], moves=True)
     yield Correction("ours is flipped left to right", lambda image: image[:, ::-1], moves=True)
     yield Correction("ours is turned by 180°", lambda image: image[::-1, ::-1], moves=True)
@@ -282,7 +286,8 @@ def _singles(stack: np.ndarray, ours: Image, reference: Image, statistics: Stati
             text = f"the channels of ours are taken in the order {name}"
             yield Correction(text, lambda image, order=order: image[..., list(order)])
     if min(ours.shape[:2]) > 4 * REACH:
-        yield from _shifts()
+        if (shift := _shift(halves)) is not None:
+            yield shift
     yield from _factors(ours, reference, statistics)
     yield from _curves()
     yield from _clamps(stack, ours, reference)
@@ -290,25 +295,35 @@ def _singles(stack: np.ndarray, ours: Image, reference: Image, statistics: Stati
         yield from _blurs(ours, reference)
 
 
-def _shifts() -> Iterator[Correction]:
+def _shift(halves: _Halves) -> Correction | None:
+    """The best shift: of whole pixels first, then by a half around it; None where none is better than none."""
+    grey = halves.grey
+
+    def best(steps: Iterable[tuple[float, float]]) -> tuple[float, float]:
+        return min(steps, key=lambda step: grey.left(_shifted(*step)))
+
+    whole = np.arange(-REACH, REACH + 1)
+    y, x = best(itertools.product(whole, whole))
+    near = [(y + dy, x + dx) for dy, dx in itertools.product((0.0, -0.5, 0.5), repeat=2)]
+    y, x = best(step for step in near if max(map(abs, step)) <= REACH)
+    return _shifted(y, x) if y or x else None
+
+
+def _shifted(dy: float, dx: float) -> Correction:
     """Half a pixel is a quarter on either side, so that both are interpolated alike."""
-    steps = np.arange(-REACH, REACH + 0.5, 0.5)
-    for dy, dx in itertools.product(steps, steps):
-        if dx == dy == 0:
-            continue
-        whole, rest = np.floor([dy, dx]).astype(int), np.array([dy, dx]) % 1 / 2
-        words = ", ".join(
-            f"{abs(step):g} px {away if step > 0 else back}"
-            for step, away, back in ((dx, "to the right", "to the left"), (dy, "down", "up"))
-            if step
-        )
-        yield Correction(
-            f"ours is shifted by {words}",
-            lambda image, whole=whole, rest=rest: _moved(image, whole, rest),
-            _same if not rest.any() else lambda image, rest=rest: _moved(image, np.zeros(2, int), -rest),
-            margin=int(REACH) + 1,
-            moves=True,
-        )
+    whole, rest = np.floor([dy, dx]).astype(int), np.array([dy, dx]) % 1 / 2
+    words = ", ".join(
+        f"{abs(step):g} px {away if step > 0 else back}"
+        for step, away, back in ((dx, "to the right", "to the left"), (dy, "down", "up"))
+        if step
+    )
+    return Correction(
+        f"ours is shifted by {words}",
+        lambda image: _moved(image, whole, rest),
+        _same if not rest.any() else lambda image: _moved(image, np.zeros(2, int), -rest),
+        margin=int(REACH) + 1,
+        moves=True,
+    )
 
 
 def _moved(image: Image, whole: np.ndarray, part: np.ndarray) -> Image:
@@ -317,7 +332,8 @@ def _moved(image: Image, whole: np.ndarray, part: np.ndarray) -> Image:
         image = np.roll(image, whole[axis], axis)
         if part[axis]:
             neighbour = np.roll(image, int(np.sign(part[axis])), axis)
-            image = (1 - abs(part[axis])) * image + abs(part[axis]) * neighbour
+            share = float(abs(part[axis]))  # Python's: float32 stays float32
+            image = (1 - share) * image + share * neighbour
     return image
 
 
