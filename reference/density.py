@@ -50,6 +50,18 @@ def faces(corners: np.ndarray, owner: np.ndarray, smooth: np.ndarray | None = No
     return Faces(corners, unit, owner, np.zeros(len(owner), bool) if smooth is None else smooth)
 
 
+def origins(parts: list[list[list[int]]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Object (F,) and face in it (F,) of all faces of all shapes, and the first face (S,) of each shape.
+
+    `parts` as `translate.gathered` gives them: a shape holds an object, or several.
+    """
+    held = np.array([part for shape in parts for part in shape], np.int64).reshape(-1, 2)
+    begins = np.cumsum(held[:, 1]) - held[:, 1]
+    face = np.arange(held[:, 1].sum()) - np.repeat(begins, held[:, 1])
+    sizes = [sum(count for _, count in shape) for shape in parts]
+    return np.repeat(held[:, 0], held[:, 1]), face, np.cumsum([0, *sizes])[:-1]
+
+
 class Points(NamedTuple):
     """Where E is asked for.
 

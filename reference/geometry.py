@@ -45,6 +45,8 @@ def first_hits(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> Geo
     loaded = reference.loaded(scene)
     import mitsuba as mi
 
+    from termwise.reference.sights import original
+
     canonical = Canonical.of(scene)
     points, vectors = canonical.points(origins), np.asarray(directions, np.float64)
     # In double precision up to the ball that holds the scene, from where Mitsuba goes on in single.
@@ -53,13 +55,14 @@ def first_hits(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> Geo
     ahead = np.where(half_squared > 0.0, np.maximum(middle - np.sqrt(np.maximum(half_squared, 0.0)), 0.0), 0.0)
     points = points + ahead[:, None] * vectors
     intersect = _all_at_once if mi.variant() != "scalar_rgb" else _one_by_one
-    depth, normal, thing, face = intersect(loaded.scenes["diffuse"], points, vectors)
+    depth, normal, shape, number = intersect(loaded.scenes["diffuse"], points, vectors)
+    thing, face = original(loaded, shape, number)
     hit = thing >= 0
     return Geometry(
         depth=np.where(hit, (ahead + depth) / canonical.scale, np.inf).astype(np.float32),
         normal=np.where(hit[:, None], normal, 0.0).astype(np.float32),
         object=thing.astype(np.int32),
-        face=np.where(hit, face, -1).astype(np.int32),
+        face=face.astype(np.int32),
     )
 
 

@@ -104,7 +104,7 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
     width, height = description["camera"]["resolution"]
     image = np.zeros((height * width, 3))
     if description["has_lights"]:
-        surfaces = surfaces_of(loaded.scenes["direct"])
+        surfaces = surfaces_of(loaded.scenes["direct"], loaded.description["parts"])
         dark = shadows.rule(loaded, limit, "direct")
         sights = _sights(loaded, limit, spp, seed)
         count = kernel["photons"]
@@ -212,8 +212,8 @@ def _irradiance(kernel: dict[str, Any], radius: float, faces: Faces, points: Poi
     return density.by_kernel(faces, points, photons, shape=kernel["shape"], radius=radius)
 
 
-def surfaces_of(scene: Any) -> Surfaces:
-    """Read the triangles and their albedos back from a scene of diffuse meshes."""
+def surfaces_of(scene: Any, parts: list[list[list[int]]]) -> Surfaces:
+    """Read the triangles and their albedos back from a scene of diffuse meshes, and whose they are from its parts."""
     frontal = dr.zeros(mi.SurfaceInteraction3f)
     frontal.wi = mi.Vector3f(0.0, 0.0, 1.0)
     corners, albedo = [], []
@@ -224,10 +224,10 @@ def surfaces_of(scene: Any) -> Surfaces:
     counts = [len(each) for each in corners]
     owner = np.repeat(np.arange(len(counts)), counts)
     smooth = np.array([shape.has_vertex_normals() for shape in scene.shapes()])[owner]
-    faces = density.faces(np.concatenate(corners), owner, smooth)
+    thing, _, first = density.origins(parts)
+    faces = density.faces(np.concatenate(corners), thing, smooth)
     of_faces = np.array([*albedo, np.zeros(3)])[[*owner, -1]]
     survival = np.minimum(of_faces.max(axis=1), MAX_SURVIVAL)
-    first = np.cumsum([0, *counts[:-1]])
     return Surfaces(scene, first, faces, of_faces, survival, emitters_of(scene, faces))
 
 

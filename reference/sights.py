@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from . import rays
+from . import density, rays
 from .wavefront import camera_ray, idle, rowwise
 
 
@@ -83,8 +83,17 @@ def sights(
         face = dr.select(met, mi.Int32(si.prim_index), -1)
         return si.p, named(si.shape), face, dr.select(hidden, mi.Int32(1), 0), ray.o, ray.d
 
-    position, shape, face, hidden, *left = rowwise(see, origin, direction, target, normal, leaving)
-    thing = np.full(len(shape), -1)
+    position, pointer, face, hidden, *left = rowwise(see, origin, direction, target, normal, leaving)
+    shape = np.full(len(pointer), -1)
     for number, each in enumerate(shapes):
-        thing[(shape == np.array(named(each))) & (face >= 0)] = number
-    return Sights(position, thing, face.astype(np.int64), hidden.astype(bool), *left)
+        shape[(pointer == np.array(named(each))) & (face >= 0)] = number
+    thing, face = original(loaded, shape, face.astype(np.int64))
+    return Sights(position, thing, face, hidden.astype(bool), *left)
+
+
+def original(loaded: Any, shape: np.ndarray, face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Object and face in it (N,) of a shape's faces (N,), -1 on a miss: a shape may hold several objects."""
+    thing, within, first = density.origins(loaded.description["parts"])
+    met = shape >= 0
+    number = np.where(met, first[shape] + face, 0)
+    return np.where(met, thing[number], -1), np.where(met, within[number], -1)

@@ -20,6 +20,7 @@ from termwise.scenes.model import Material, Mesh, Object, PointLight, Scene
 
 Role = Literal["color", "diffuse", "ambient", "direct", "specular", "physical-lights", "physical-sky", "physical"]
 
+MANY = 64  # objects beyond which those of one look are one shape
 SIZE = 100.0  # the largest side of the canonical bounding box is in (SIZE / 2, SIZE]
 SMALLEST = 1e-3  # size of an object in a scene of extent 1
 UNBOUNDED = 1e30  # stands for an infinite range, which JSON does not have
@@ -60,7 +61,8 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
     """
     canonical = Canonical.of(scene)
     _check_sizes(scene)
-    for number, thing in enumerate(scene.objects):
+    shapes, parts = gathered(scene)
+    for number, thing in enumerate(shapes):
         write_ply(folder / _mesh_file(number), thing.mesh, canonical)
     if scene.sky.texture is not None:
         np.save(folder / "sky.npy", scene.sky.texture)
@@ -78,10 +80,57 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "max_bounces": scene.max_bounces if scene.toggles.reflections else 0,
         "has_lights": scene.has_lights,
         "reflected": {role: _reflected(scene, role) for role in get_args(Role)},
-        "light_centres": [[canonical.points(centre).tolist(), thing] for centre, thing in scene.light_centres],
-        "emission": [list(thing.emission) if scene.draw_lights else [0.0] * 3 for thing in scene.objects],
-        "scenes": {role: _scene(scene, role, canonical) for role in get_args(Role)},
+        "light_centres": [
+            [canonical.points(centre).tolist(), *_place(parts, thing)] for centre, thing in scene.light_centres
+        ],
+        "emission": [list(thing.emission) if scene.draw_lights else [0.0] * 3 for thing in shapes],
+        "parts": parts,
+        "scenes": {role: _scene(scene, shapes, role, canonical) for role in get_args(Role)},
     }
+
+
+def gathered(scene: Scene) -> tuple[tuple[Object, ...], list[list[list[int]]]]:
+    """What Mitsuba has as shapes: the objects; where they are many, those of one look as one.
+
+    Mitsuba traces every shape into every kernel: 1000 lamps took half a minute a replicate. Few objects are left as
+    they are, and so are those of a scene whose rays pass their own object.
+
+    Returns
+    -------
+    shapes : an object each.
+    parts : of each shape, `[object, number of faces]` of the objects that it holds, in the order of its faces.
+    """
+    looks: dict[Any, list[int]] = {}
+    for number, thing in enumerate(scene.objects):
+        flat = thing.mesh.normals is None or thing.emits
+        apart = number if len(scene.objects) <= MANY or scene.ignore == "object" else None
+        looks.setdefault((apart, thing.surface, thing.emission, flat), []).append(number)
+    shapes = [_as_one([scene.objects[number] for number in numbers]) for numbers in looks.values()]
+    parts = [[[number, len(scene.objects[number].mesh.faces)] for number in numbers] for numbers in looks.values()]
+    return tuple(shapes), parts
+
+
+def _as_one(things: list[Object]) -> Object:
+    """Objects of one look as one, vertex for vertex."""
+    if len(things) == 1:
+        return things[0]
+    first = np.cumsum([0, *(len(thing.mesh.vertices) for thing in things[:-1])])
+    vertices = np.concatenate([thing.mesh.vertices for thing in things])
+    faces = np.concatenate([thing.mesh.faces + start for thing, start in zip(things, first, strict=True)])
+    normals = [thing.mesh.normals for thing in things if thing.mesh.normals is not None]
+    smooth = len(normals) == len(things)
+    return attrs.evolve(things[0], mesh=Mesh(vertices, faces, np.concatenate(normals) if smooth else None))
+
+
+def _place(parts: list[list[list[int]]], thing: int) -> tuple[int, int, int]:
+    """Shape of an object, its first face there, and the one behind its last; -1 for a point light's."""
+    for shape, held in enumerate(parts):
+        first = 0
+        for number, count in held:
+            if number == thing:
+                return shape, first, first + count
+            first += count
+    return -1, 0, 0
 
 
 def _reflected(scene: Scene, role: Role) -> float:
@@ -112,11 +161,11 @@ def _check_sizes(scene: Scene) -> None:
             )
 
 
-def _scene(scene: Scene, role: Role, canonical: Canonical) -> dict[str, Any]:
+def _scene(scene: Scene, shapes: tuple[Object, ...], role: Role, canonical: Canonical) -> dict[str, Any]:
     """The same shapes in every role; lights only where the role has them."""
     lit = role in ("direct", "physical-lights", "physical") and scene.has_lights
     described: dict[str, Any] = {"type": "scene", "embree_use_robust_intersections": True}
-    for number, thing in enumerate(scene.objects):
+    for number, thing in enumerate(shapes):
         described[f"object{number}"] = _object(scene, thing, number, role, lit)
     if lit:
         for number, light in enumerate(scene.lights):

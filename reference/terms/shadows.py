@@ -19,14 +19,17 @@ def rule(loaded: Any, limit: dict[str, Any], role: str) -> Any:
     scene = loaded.scenes[role]
     shapes = scene.shapes()
 
-    def hidden(si: Any, active: Any, centre: Any, thing: int) -> Any:
+    def hidden(si: Any, active: Any, centre: Any, shape: int, first: int, end: int) -> Any:
         open_lanes, blocked = mi.Bool(active), mi.Bool(False)
         for _ in range(OWN_FACES):
             ray = rays.segment(si, centre, mi.Normal3f(0.0))
             ray.maxt -= 4.0 * rays.LIFT  # what lies in the plane of a light's face does not hide its centre
             _, hit = rays.leave(loaded, scene, si, ray, open_lanes)
             met = open_lanes & hit.is_valid()
-            own = met & (hit.shape == shape_pointer(shapes[thing])) if thing >= 0 else mi.Bool(False)
+            own = mi.Bool(False)
+            if shape >= 0:
+                own = met & (hit.shape == shape_pointer(shapes[shape]))
+                own &= (hit.prim_index >= first) & (hit.prim_index < end)
             blocked |= dr.select(own, False, met)
             open_lanes = own
             si = hit
@@ -34,8 +37,8 @@ def rule(loaded: Any, limit: dict[str, Any], role: str) -> Any:
 
     def dark(si: Any, active: Any) -> Any:
         all_hidden = mi.Bool(True)
-        for centre, thing in centres:
-            all_hidden &= hidden(si, active, dr.opaque(mi.Point3f, centre), thing)
+        for centre, *place in centres:
+            all_hidden &= hidden(si, active, dr.opaque(mi.Point3f, centre), *place)
         return all_hidden
 
     return dark

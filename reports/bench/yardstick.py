@@ -157,7 +157,7 @@ def settings(loaded: Any, limit: Limit) -> Iterator[Setting]:
         role = "direct"
         # Each of n samples of a point counts fully in Mitsuba's `direct`: n times too bright. Such a light has no noise
         # that more samples of it would lessen.
-        points = any(thing < 0 for _, thing in description["light_centres"])
+        points = any(shape < 0 for _, shape, *_ in description["light_centres"])
         integrators = {
             f"x{n}": mi.load_dict({"type": "direct", "emitter_samples": n, "bsdf_samples": 0, "hide_emitters": True})
             for n in (SHARED[:1] if points else SHARED)

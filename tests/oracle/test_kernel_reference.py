@@ -232,7 +232,7 @@ def traced(scene: Scene, maps: int, count: int, **options) -> list[Photons]:
     loaded = reference.loaded(scene)
     from termwise.reference import kernel_reference
 
-    surfaces = kernel_reference.surfaces_of(loaded.scenes["direct"])
+    surfaces = kernel_reference.surfaces_of(loaded.scenes["direct"], loaded.description["parts"])
     return [
         kernel_reference.trace(surfaces, np.random.default_rng((11, k)), count=count, **options) for k in range(maps)
     ]
