@@ -57,7 +57,7 @@ class _Placed:
     gloss: float = model.Material().gloss
     roughness: float = model.Material().roughness
     f0: model.Color = model.Material().f0
-    emission: model.Color = attrs.field(default=model.BLACK, validator=model.radiance)
+    emission: model.Color = attrs.field(default=model.BLACK, validator=model.non_negative)
 
     def __attrs_post_init__(self) -> None:
         """Check the material where its fields stand in the file."""
@@ -198,11 +198,8 @@ def _read_texture(folder: Path, name: str) -> np.ndarray:
         texture = np.ascontiguousarray(images.read_one(path).pixels, np.float32)
     except ValueError as error:
         raise ValueError(f"{where}: {str(error).removeprefix(f'{path}: ')}") from None
-    if not ((texture >= 0) & (texture <= model.BRIGHTEST)).all():  # also catches NaN
-        raise ValueError(
-            f"{where}: holds NaN, infinite or negative texels, or ones above {model.BRIGHTEST:g}: allowed is "
-            f"[0, {model.BRIGHTEST:g}]"
-        )
+    if not (np.isfinite(texture).all() and (texture >= 0).all()):
+        raise ValueError(f"{where}: holds NaN, infinite or negative texels: allowed are finite ones >= 0")
     return texture
 
 

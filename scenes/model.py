@@ -23,8 +23,6 @@ Color = tuple[float, float, float]
 Scope = Literal["first-hit", "all"]
 
 BLACK: Color = (0.0, 0.0, 0.0)
-BRIGHTEST = 1e15
-"""The largest radiance or intensity: single precision holds its square, and hence a variance."""
 
 
 def _refuse(attribute: attrs.Attribute, value: object, allowed: str):
@@ -47,7 +45,7 @@ def in_range(low: float, high: float = math.inf, *, open_low: bool = False, open
 
 
 positive = in_range(0.0, open_low=True, open_high=True)
-radiance = in_range(0.0, BRIGHTEST)
+non_negative = in_range(0.0, open_high=True)
 unit_interval = in_range(0.0, 1.0)
 finite = in_range(-math.inf, open_low=True, open_high=True)
 _count = in_range(1, 2**31 - 1)
@@ -191,7 +189,7 @@ class Object:
     name: str
     mesh: Mesh
     material: Material = Material()
-    emission: Color = attrs.field(converter=_triple, default=BLACK, validator=radiance)
+    emission: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
 
     @property
     def emits(self) -> bool:
@@ -209,7 +207,7 @@ class PointLight:
     """A point that radiates `intensity` (radiance x area) in every direction."""
 
     position: Vector = attrs.field(converter=_triple, validator=finite)
-    intensity: Color = attrs.field(converter=_triple, validator=radiance)
+    intensity: Color = attrs.field(converter=_triple, validator=non_negative)
 
 
 @attrs.frozen(eq=False)
@@ -229,7 +227,7 @@ class Sky:
     projection : "equal-area" is the paper's v; "lat-long", `v = acos(n.z) / pi`, is that of usual panoramas.
     """
 
-    color: Color = attrs.field(converter=_triple, default=BLACK, validator=radiance)
+    color: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
     texture: np.ndarray | None = attrs.field(
         default=None, repr=lambda texels: "None" if texels is None else f"<{texels.shape[1]} x {texels.shape[0]}>"
     )
@@ -247,7 +245,7 @@ class Sky:
 class Ambient:
     """The ambient light L_a0, and the distance beyond which nothing occludes it (`range`)."""
 
-    color: Color = attrs.field(converter=_triple, default=BLACK, validator=radiance)
+    color: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
     range: float = attrs.field(converter=_number, default=math.inf, validator=in_range(0.0, open_low=True))
 
 
