@@ -23,6 +23,7 @@ Role = Literal["color", "diffuse", "ambient", "direct", "specular", "physical-li
 MANY = 64  # objects beyond which those of one look are one shape
 SIZE = 100.0  # the largest side of the canonical bounding box is in (SIZE / 2, SIZE]
 SMALLEST = 1e-3  # size of an object in a scene of extent 1
+BRIGHTEST = 1e15  # radiance or intensity
 UNBOUNDED = 1e30  # stands for an infinite range, which JSON does not have
 BLACK_BSDF = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}}
 
@@ -61,6 +62,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
     """
     canonical = Canonical.of(scene)
     _check_sizes(scene)
+    _check_radiances(scene)
     shapes, parts = gathered(scene)
     for number, thing in enumerate(shapes):
         write_ply(folder / _mesh_file(number), thing.mesh, canonical)
@@ -158,6 +160,21 @@ def _check_sizes(scene: Scene) -> None:
             raise ValueError(
                 f"{scene.name}: object {thing.name!r} is {size:g} long in a scene of {extent:g}: allowed is at least "
                 f"{SMALLEST:g} of it, for Mitsuba computes in single precision; bring far or large objects nearer"
+            )
+
+
+def _check_radiances(scene: Scene) -> None:
+    """Refuse light whose square, and hence a variance, single precision cannot hold."""
+    named: list[tuple[str, Any]] = [("ambient.color", scene.ambient.color), ("sky.color", scene.sky.color)]
+    named += [(f"lights[{number}].intensity", light.intensity) for number, light in enumerate(scene.lights)]
+    named += [(f"objects: {thing.name!r}: emission", thing.emission) for thing in scene.objects]
+    if scene.sky.texture is not None:
+        named.append(("sky.texture", float(scene.sky.texture.max())))
+    for name, value in named:
+        if np.max(value) > BRIGHTEST:
+            raise ValueError(
+                f"{scene.name}: {name} = {value}: allowed is at most {BRIGHTEST:g}, for Mitsuba computes in single "
+                "precision; ours alone renders it"
             )
 
 

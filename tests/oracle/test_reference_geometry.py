@@ -1,12 +1,15 @@
 """First hits of Mitsuba's rays against brute force over all triangles in float64 (Möller and Trumbore 1997)."""
 
+import attrs
 import numpy as np
 import pytest
 import trimesh
 
 from termwise import reference
 from termwise.reference.geometry import geometry
-from termwise.scenes.model import Camera, Mesh, Object, Scene
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Ambient, Camera, Mesh, Object, PointLight, Scene, Sky
+from tests.scenes import small
 
 
 def brute_force(scene: Scene, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -61,3 +64,19 @@ def test_an_object_too_small_for_single_precision_is_refused():
         ValueError, match=r"far: object 'speck' is 0.01 long in a scene of 100: allowed is at least 0.001"
     ):
         reference.loaded(scene)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"ambient": Ambient((1e30, 0.0, 0.0))}, r"ambient.color = \(1e\+30, 0.0, 0.0\)"),
+        ({"sky": Sky((0.0, 1e16, 0.0))}, r"sky.color = \(0.0, 1e\+16, 0.0\)"),
+        ({"sky": Sky(texture=np.full((2, 4, 3), 1e30, np.float32))}, "sky.texture = 1.*e\\+30"),
+        ({"lights": (PointLight((0.0, 0.0, 5.0), (0.0, 0.0, 1e30)),)}, r"lights\[0\].intensity"),
+    ],
+)
+def test_light_whose_square_single_precision_cannot_hold_is_refused(change, named):
+    """Ours renders it: rows of the stress tests hold it to exact powers of two."""
+    scene = attrs.evolve(small("two_cubes", 4), **change)
+    with pytest.raises(ValueError, match=f"two_cubes: {named}.*: allowed is at most 1e\\+15"):
+        reference.render(scene, Limit("ambient"), spp=1)
