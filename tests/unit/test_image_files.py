@@ -18,6 +18,7 @@ import pytest
 import tifffile
 from PIL import Image as Picture
 
+from termwise.reference import backend
 from termwise.scenes import images
 
 HEIGHT, WIDTH = 20, 30
@@ -264,8 +265,8 @@ def test_primaries_without_an_answer_are_refused(tmp_path: Path):
 
 
 def test_what_mitsuba_writes(tmp_path: Path):
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
+    # The process keeps one variant of Mitsuba, in which the references' plugins are registered.
+    mi = backend.import_mitsuba()
     bitmap = mi.Bitmap(RGB)
     for name in ("exr", "pfm", "hdr"):
         bitmap.write(str(tmp_path / f"rgb.{name}"))
