@@ -179,7 +179,7 @@ def test_the_error_against_light_transport_is_split(results: dict[str, Any]):
 
 
 def test_the_level_counts_the_tests_of_all_judged_rows(results: dict[str, Any]):
-    """A judged row tests 3 channels of the image and of each object; 3 shapes and 3 kinds of place unless kernel-based."""
+    """Of a judged row: 3 channels of the image and each object; 3 shapes and 3 kinds of place unless kernel-based."""
     judged = [row for row in results["cells"] if row["tests"] is not None]
     kernel = {"direct", "total"}  # scope `all`: scattered light comes from photons
     tests = 0
