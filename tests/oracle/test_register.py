@@ -69,7 +69,8 @@ def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path, monkey
 
     def noisy(scene, samples, seed):
         asked.append((samples, seed))
-        return np.random.default_rng((seed, samples)).gamma(0.1, 1.0, (*scene.resolution[::-1], 3))
+        right = termwise.render(scene, "ambient", samples=4, seed=seed % 2**31).mean
+        return right * np.random.default_rng((seed, samples)).gamma(1.0, 1.0, right.shape)
 
     termwise.register("ambient", "noisy", noisy, Limit("ambient"))
     small = attrs.evolve(_small("noisy"), budget=3600.0)
