@@ -69,7 +69,9 @@ def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path, monkey
 
     def noisy(scene, samples, seed):
         asked.append((samples, seed))
-        right = termwise.render(scene, "ambient", samples=4, seed=seed % 2**31).mean
+        from termwise.renderer import render
+
+        right = render(scene, "ambient", samples=4, seed=seed % 2**31).mean
         return right * np.random.default_rng((seed, samples)).gamma(1.0, 1.0, right.shape)
 
     termwise.register("ambient", "noisy", noisy, Limit("ambient"))
