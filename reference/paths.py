@@ -122,7 +122,7 @@ def check_end(loaded: Any, role: str) -> None:
     share = float(pixel_means(lambda s: (_left(scene, s.ray, s.sampler),), camera, spp=spp, seed=0).mean())
     if share > TAIL:
         raise ValueError(
-            f"objects: color: up to {reflected:g} of the light is reflected, and {100 * share:.2g} % of it is left "
+            f"objects: color: up to {reflected:g} of the light is reflected, and {100 * share:.3g} % of it is left "
             f"after {LONGEST} reflections: allowed is less where no light gets out"
         )
     loaded.ending.add(role)

@@ -23,7 +23,7 @@ import numpy as np
 from termwise.scenes.store import ROOT, sources_digest
 
 _INSTALLED = tuple(Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib", "purelib", "platlib"))
-_OURS = "renderer", "reference", "scenes", "reports"
+_OURS = "termwise", "renderer", "reference", "scenes", "reports"
 _DATA = (int, float, complex, str, bytes, tuple, list, dict, np.ndarray)  # of a module, which may change as it runs
 _PLAIN = (int, float, complex, str, bytes, type(None), type(...))
 
@@ -111,7 +111,7 @@ class _Absorber:
             self._add(_version(module.__name__))
         else:
             self._add(Path(file).read_bytes())
-            for name, value in vars(module).items():
+            for name, value in list(vars(module).items()):  # to follow one may import another
                 own = not name.startswith("__")
                 if isinstance(value, types.ModuleType | types.FunctionType | type) or (
                     own and isinstance(value, _DATA)

@@ -40,14 +40,14 @@ from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atom
 
 CONNECT_SECONDS = 10
 """Within which a scheduler answers."""
-ATTEMPTS = 10
-"""Workers that a job may lose before it is given up."""
+LOSSES = 10
+"""Workers that a job may lose before it is given up; a scheduler of one's own has a setting for it."""
 _AHEAD = 8
 """Jobs that are sent for each thread before one has ended: enough to keep workers busy, few enough to forget."""
 _VERSION = importlib.metadata.version("distributed")
 _RETRIES = 2
 """Of a job whose worker cannot write: another may have room."""
-_SETTINGS = {"distributed.scheduler.allowed-failures": ATTEMPTS, "distributed.scheduler.worker-ttl": "60 s"}
+_SETTINGS = {"distributed.scheduler.allowed-failures": LOSSES, "distributed.scheduler.worker-ttl": "60 s"}
 
 
 class ClusterError(ValueError):
@@ -169,14 +169,32 @@ def _seat(cache: Path, threads: int) -> _Seat:
 
 
 @functools.cache
-def _unlike(terms: Terms) -> str:
-    """What differs from the client's machine; estimators of a file are registered here."""
-    if terms.estimators is not None:
-        name, source = terms.estimators
-        path = cache_folder() / "estimators" / hashlib.sha256(source.encode()).hexdigest()[:16] / name
-        write_atomically(path, lambda temporary: temporary.write_text(source, "utf-8"))
+def _register(name: str, source: str) -> str:
+    """Run a file that registers estimators, once in a process; why that failed."""
+    path = cache_folder() / "estimators" / hashlib.sha256(source.encode()).hexdigest()[:16] / name
+    write_atomically(path, lambda temporary: temporary.write_text(source, "utf-8"))
+    try:
         runpy.run_path(str(path), run_name=path.stem)
-    return terms.machine.unlike(Machine.here())
+    except Exception as error:  # one of an earlier version is there, or whatever the file does
+        return f"{name}: {' '.join(str(error).split())}: start the worker anew"
+    return ""
+
+
+@functools.cache
+def _unlike(machine: Machine) -> str:
+    """What differs here from the client's machine."""
+    return machine.unlike(Machine.here())
+
+
+def _another(job: Job, names: tuple[str, ...], cache: Path) -> str:
+    """Whether this process would give the job's files other names than the client does, or does not know it."""
+    try:
+        here = _names(job.here(), cache)
+    except Unknown:  # it has no name of its own: the file that registers it is the same
+        return ""
+    except ValueError as error:
+        return f"{job.what}: {error}"
+    return "" if here == names else f"{job.what}: is another estimator there: allowed is the client's"
 
 
 def _do(make: Callable[..., Job], scene: Scene, names: tuple[str, ...], terms: Terms) -> Done:
@@ -185,16 +203,15 @@ def _do(make: Callable[..., Job], scene: Scene, names: tuple[str, ...], terms: T
     done = functools.partial(Done, platform.node(), worker.address)
     with _turn:
         try:
-            if why := _unlike(terms):
+            if why := _unlike(terms.machine):
+                return done(unlike=why)
+            if terms.estimators is not None and (why := _register(*terms.estimators)):
                 return done(unlike=why)
             shared = (Path(terms.cache) / terms.probe).is_file()
             seat = _seat(Path(terms.cache) if shared else cache_folder(), worker.state.nthreads)
             job = make(scene=scene)
-            with contextlib.suppress(Unknown):  # it is the same as far as its file is
-                if _names(job.here(), seat.cache) != names:
-                    return done(
-                        unlike=f"{job.what}: another estimator, or another version of it: allowed is the client's"
-                    )
+            if why := _another(job, names, seat.cache):
+                return done(unlike=why)
             outcome = seat.take(job)
             unseen = () if shared or outcome.error else tuple(path.read_bytes() for path in job.files(seat.cache))
         except OSError as error:
@@ -245,7 +262,8 @@ class Cluster:
             estimators = None
             if self.estimators is not None:
                 estimators = self.estimators.name, self.estimators.read_text("utf-8")
-            yield from _Run(self, cache, Terms(str(cache), probe, Machine.here(), estimators)).outcomes(jobs, dropped)
+            terms = Terms(str(cache.absolute()), probe, Machine.here(), estimators)
+            yield from _Run(self, cache, terms).outcomes(jobs, dropped)
 
 
 @contextlib.contextmanager
@@ -266,7 +284,7 @@ class _Run:
         self.cluster, self.cache, self.terms = cluster, cache, terms
         self.client = cluster.client
         self.scenes: dict[int, tuple[Scene, Future]] = {}
-        self.waiting: dict[Future, _Sent] = {}
+        self.waiting: dict[Future, tuple[Job, tuple[str, ...]]] = {}
         self.refused: set[str] = set()
 
     def outcomes(self, jobs: Sequence[Job], dropped: Callable[[Job], bool]) -> Iterator[Outcome]:
@@ -282,19 +300,17 @@ class _Run:
                     if job.kept(self.cache):  # costs no message
                         yield Outcome(job)
                     else:
-                        ended.add(self._send(_Sent(job, _names(job, self.cache), ATTEMPTS)))
+                        ended.add(self._send(job, _names(job, self.cache)))
                 if not self.waiting:
                     return
                 future = next(ended)
-                sent = self.waiting.pop(future)
-                outcome = self._outcome(future, sent)
+                job, names = self.waiting.pop(future)
+                outcome = self._outcome(future, job, names)
                 future.release()
-                if outcome is not None:
-                    yield outcome
-                elif sent.attempts == 1:
-                    raise ClusterError(f"{sent.job.what}: {ATTEMPTS} workers were lost or refused with it")
+                if outcome is None:
+                    ended.add(self._send(job, names))
                 else:
-                    ended.add(self._send(attrs.evolve(sent, attempts=sent.attempts - 1)))
+                    yield outcome
         except (OSError, FutureCancelledError, asyncio.CancelledError) as error:
             if self.client.status == "running" and isinstance(error, OSError):
                 raise
@@ -304,8 +320,7 @@ class _Run:
             with contextlib.suppress(Exception):  # the scheduler may be gone
                 self.client.cancel(list(self.waiting), force=True)
 
-    def _send(self, sent: "_Sent") -> Future:
-        job = sent.job
+    def _send(self, job: Job, names: tuple[str, ...]) -> Future:
         if id(job.scene) not in self.scenes:
             # A task and not scattered data: where its worker is lost it is made again.
             payload = pickle.dumps(job.scene)
@@ -320,39 +335,30 @@ class _Run:
             _do,
             functools.partial(kind, **fields),
             self.scenes[id(job.scene)][1],
-            sent.names,
+            names,
             self.terms,
-            key=f"{sent.names[-1]}-{uuid.uuid4().hex[:8]}",
+            key=f"{names[-1]}-{uuid.uuid4().hex[:8]}",
             pure=False,
             retries=_RETRIES,
             workers=allowed,
         )
-        self.waiting[future] = sent
+        self.waiting[future] = job, names
         return future
 
-    def _outcome(self, future: Future, sent: "_Sent") -> Outcome | None:
-        """What came of a job; None: another worker shall try."""
+    def _outcome(self, future: Future, job: Job, names: tuple[str, ...]) -> Outcome | None:
+        """What came of a job; None where its worker is refused, and another shall try."""
         try:
             done: Done = future.result()
-        except distributed.KilledWorker:
-            return None
+        except distributed.KilledWorker as error:
+            raise ClusterError(f"{job.what}: is given up: {' '.join(str(error).split())}") from None
         if done.unlike:
             self.refused.add(done.worker)
             self.cluster.say(f"{done.worker} is refused: {done.unlike}")
             return None
-        for name, content in zip(sent.names, done.files, strict=False):
+        for name, content in zip(names, done.files, strict=False):
             path = self.cache / name
             write_atomically(path, lambda temporary, content=content: temporary.write_bytes(content))
-        return Outcome(sent.job, done.made, done.compile_seconds, done.error, done.host)
-
-
-@attrs.frozen
-class _Sent:
-    """A job under way: the names of its files, and how many more workers it may cost."""
-
-    job: Job
-    names: tuple[str, ...]
-    attempts: int
+        return Outcome(job, done.made, done.compile_seconds, done.error, done.host)
 
 
 def _threads(client: Client) -> dict[str, int]:

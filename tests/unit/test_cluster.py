@@ -17,7 +17,7 @@ import attrs
 import numpy as np
 import pytest
 
-from termwise.renderer.terms import find
+from termwise.renderer.terms import find, register
 from termwise.reports.jobs import cells, cluster
 from termwise.reports.jobs.cluster import Cluster, ClusterError, Machine, connected
 from termwise.reports.jobs.executors import InThisProcess
@@ -28,7 +28,9 @@ from tests.scenes import small
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="workers compile"),
+    pytest.mark.skipif(
+        os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="workers render, which as plain Python takes minutes"
+    ),
 ]
 
 
@@ -205,6 +207,22 @@ def test_estimators_of_a_file_are_registered_on_workers(two: Cluster, tmp_path: 
     assert outcome.error is None
     assert outcome.made
     np.testing.assert_array_equal(cells.read([job], Limit("ambient"), tmp_path / "cells").images, 0.5)
+    # A run has its jobs done in several calls.
+    again = attrs.evolve(job, number=1)
+    (outcome,) = done(attrs.evolve(two, estimators=file), [again], tmp_path)
+    assert outcome.made
+
+
+def test_workers_without_an_estimator_are_refused(two: Cluster, lines: list[str], tmp_path: Path):
+    def local(scene, samples, seed):
+        return np.zeros((*scene.resolution[::-1], 3))
+
+    scene = small("two_cubes", 4)
+    variant = register("ambient", "local", local, Limit("ambient"))
+    key = cells.key(scene, variant, samples=1, seed=1, chain="path")
+    with pytest.raises(ClusterError, match="no worker there"):
+        done(two, [cells.Replicate(scene, "ambient", "local", (1,), 1, "path", key, 0)], tmp_path)
+    assert "two_cubes: ambient local: " in lines[-1]
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+import termwise
 from termwise.renderer.fingerprint import Unknown, fingerprint
 from termwise.renderer.terms.estimator import Called
 from termwise.scenes.store import ROOT
@@ -68,6 +69,18 @@ def test_equal_values_are_equal_and_others_are_not(make):
 def test_code_counts():
     assert fingerprint(lambda scene, samples, seed: 1) != fingerprint(lambda scene, samples, seed: 2)
     assert fingerprint(lambda scene, samples, seed: scene) != fingerprint(lambda scene, samples, seed: seed)
+
+
+def test_names_of_ours_that_are_resolved_later_change_nothing(monkeypatch):
+    """`termwise` fills its names as they are asked for: who asked before decides nothing of what is computed."""
+
+    def function(scene):
+        return termwise.load(scene)
+
+    monkeypatch.delitem(vars(termwise), "load", raising=False)
+    before = fingerprint(function)
+    assert termwise.load is not None
+    assert fingerprint(function) == before
 
 
 def test_what_has_no_content_is_named():
