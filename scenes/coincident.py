@@ -21,6 +21,7 @@ import numpy as np
 
 ROUNDING = 2.0**-21
 """Of the largest coordinate of two faces: how far they may be apart, and yet be the same."""
+_TURNED = 2.0**-48  # of the largest coordinate: what a rotation in float64 leaves of another that should be 0
 _FLATTEST = 1e-3  # of a face's height: no rounding tilts it further
 _CELL = 1e-3  # of plane coordinates, which are of the order of 1
 _SHRINK = 1e-6
@@ -68,25 +69,31 @@ def check_camera(objects: Sequence[Any], position: Sequence[float]) -> None:
     eye = np.asarray(position)
     for thing in objects:
         mesh = thing.mesh
-        rounding = ROUNDING * max(np.abs(eye).max(), np.abs(mesh.vertices).max())
+        rounding = _rounding(np.maximum(np.abs(eye), np.abs(mesh.vertices).max(axis=0)))
         if (eye < mesh.vertices.min(axis=0) - rounding).any() or (eye > mesh.vertices.max(axis=0) + rounding).any():
             continue
         corners = mesh.vertices[mesh.faces]
         edges = np.roll(corners, -1, axis=1) - corners
         normals = np.cross(edges[:, 0], edges[:, 1])
         away = eye - corners
-        # The volume over each edge, and over the face: rounding times the edges' lengths is nothing.
-        size = np.linalg.norm(normals, axis=1)
-        near = (np.abs(np.einsum("fx,fx->f", away[:, 0], normals)) <= rounding * size) & (size > 0)
+        # Along a direction, of the coordinates that it has a share of: the height of a wide floor is rounded by little.
+        rounding = _rounding(np.maximum(np.abs(eye), np.abs(corners).max(axis=1)))
+        height = np.abs(np.einsum("fx,fx->f", away[:, 0], normals))
+        near = (height <= np.einsum("fx,fx->f", np.abs(normals), rounding)) & normals.any(axis=1)
         for edge in range(3):
             inwards = np.cross(normals, edges[:, edge])
             depth = np.einsum("fx,fx->f", away[:, edge], inwards)
-            near &= depth >= -rounding * np.linalg.norm(inwards, axis=1)
+            near &= depth >= -np.einsum("fx,fx->f", np.abs(inwards), rounding)
         if near.any():
             raise ValueError(
                 f"camera: position = {tuple(position)!r}: lies on a face of {thing.name!r}: allowed is a point "
                 "off all faces"
             )
+
+
+def _rounding(largest: np.ndarray) -> np.ndarray:
+    """Of each coordinate of points (..., 3) that are no larger: its own, and what a rotation brings from the others."""
+    return np.maximum(ROUNDING * largest, _TURNED * largest.max(axis=-1, keepdims=True))
 
 
 @functools.lru_cache(maxsize=16)

@@ -188,6 +188,21 @@ def test_a_camera_on_a_face_is_refused():
             Scene("camera", camera, (FLOOR,))
 
 
+@pytest.mark.parametrize("angle", [0.0, 30.0, 90.0])
+def test_a_camera_above_a_wide_floor_is_off_it(angle: float):
+    """Coordinates of 1e12 round a height by nothing where none of them is in it, and by 1e5 where they are."""
+    corners = np.array([[-6e11, -6e11, 0.0], [6e11, -6e11, 0.0], [6e11, 6e11, 0.0], [-6e11, 6e11, 0.0]])
+    turn = trimesh.transformations.rotation_matrix(np.radians(angle), (1.0, 0.0, 0.0))[:3, :3]
+    floor = Object("floor", Mesh.from_arrays(corners @ turn.T, [[0, 1, 2], [0, 2, 3]]), RED)
+    for height, fine in [(0.0, False), (2.0, angle != 30.0), (1e7, True)]:
+        camera = attrs.evolve(CAMERA, position=tuple(turn @ (3.0, -7.0, height)))
+        if fine:
+            assert Scene("wide", camera, (floor,)).objects
+            continue
+        with pytest.raises(ValueError, match="lies on a face of 'floor'"):
+            Scene("wide", camera, (floor,))
+
+
 def test_a_file_is_refused_in_one_line(tmp_path: Path):
     """Both kinds, with the name of the file."""
     path = tmp_path / "decal.toml"
