@@ -17,6 +17,7 @@ from termwise.scenes.store import ROOT, sources_digest, write_atomically
 
 # Fields of a scene that an audit depends on: what a setting changes beside them needs no audit of its own.
 _READ = "camera", "objects.name", "objects.mesh", "objects.emission", "lights", "resolution", "ignore"
+_READ += "sky.texture", "sky.center", "sky.radius"  # its sphere decides where camera rays begin
 
 
 @attrs.frozen(eq=False)

@@ -1,16 +1,19 @@
 """Who sees whom, by the references, by `crossings` and by brute force in float64 (Möller and Trumbore 1997)."""
 
+from pathlib import Path
+
 import attrs
 import numpy as np
 import pytest
 
 from termwise import reference
-from termwise.reference.translate import Canonical
+from termwise.reference.translate import Canonical, describe
+from termwise.reports.jobs.geometry import GeometryAudit
 from termwise.reports.study import audits, geometry_audit
 from termwise.reports.study.crossings import Soup
 from termwise.scenes.limits import correct
 from termwise.scenes.load import load
-from termwise.scenes.model import Camera, Material, Mesh, Object, PointLight, Scene
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, PointLight, Scene, Sky
 
 WHITE = (1.0, 1.0, 1.0)
 
@@ -177,3 +180,16 @@ def test_no_verdict_where_single_precision_does_not_hold_the_scene(side, agrees)
         assert "pixels from where float64 has it" in failed[0]
     # What is not measured against a reference is not judged by its audit.
     assert audits.findings(rows, scene, []) == (None, [])
+
+
+def test_an_audit_is_kept_for_all_that_decides_it(tmp_path: Path):
+    """A sky's sphere within the scene has camera rays begin elsewhere; a sky's colour changes no answer."""
+    scene = slab(1e3)
+    texture = np.ones((2, 4, 3), np.float32)
+    inside, outside = (attrs.evolve(scene, sky=Sky(texture=texture, radius=radius)) for radius in (10.0, 1e5))
+    balls = [describe(each, tmp_path)["camera"]["ball"] for each in (inside, outside)]
+    assert balls[0] != balls[1]
+    blue = attrs.evolve(scene, sky=Sky(color=(0.0, 0.0, 1.0)), ambient=Ambient(WHITE))
+    paths = [GeometryAudit(each, 1).path(Path()) for each in (scene, blue, inside, outside)]
+    assert paths[0] == paths[1]
+    assert len(set(paths)) == 3
