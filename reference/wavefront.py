@@ -92,7 +92,7 @@ def _one_by_one(estimate: Estimator, camera: dict[str, Any], count: int, seed: i
     for pixel in range(width * height):
         total = 0.0
         for index in range(count):
-            # Seeded per sample, as lanes are: paths of two depths then have equal beginnings.
+            # Seeded per sample, as lanes are.
             sampler.seed(mi.sample_tea_32(pixel * count + index, seed)[0], 1)
             images = estimate(camera_samples(camera, pixel, index, count, seed, sampler))
             total = total + np.array([list(image) for image in images], np.float64)
