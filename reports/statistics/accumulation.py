@@ -7,6 +7,7 @@ is, a square what cancels in every mean.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import attrs
 import numpy as np
@@ -193,7 +194,7 @@ def measure(
     term_mean = sums.term_mean(reference_is_zero, scale)
     if not term_mean > 0:
         raise ValueError(f"reference: its mean luminance is {term_mean:.3g}; a relative bias needs one above 0")
-    regions, tiles = sums.region_means(), {side: sums.tiles(side) for side in TILE_SIDES}
+    regions = sums.region_means()
     typical = sums.typical(term_mean, reference_is_zero)
     compare = sums.comparison(term_mean, sums.events(typical))
     pixels = Gram(sums.products[1][1:].sum(axis=0) / (3 * sums.pixels), sizes)
@@ -210,12 +211,12 @@ def measure(
         region_names=(IMAGE, *_named(sums.objects_present, object_names)),
         regions=compare(regions, sums.areas[:, None], term_mean * (1 if reference_is_zero else 0.1), slice(1, 4)),
         luminance=compare(luminance_of(regions[:, 0]), sums.areas[0], term_mean, 0),
-        tiles={side: sums.places(compare, *tiles[side], typical) for side in TILE_SIDES},
+        tiles={side: sums.places(compare, *tiles, typical) for side, tiles in sums.tiles.items()},
         windows=sums.places(compare, *sums.windows(), typical),
         borders=sums.places(compare, *sums.border_means(), 0.1 * typical),
         tile_skewness={
             side: max(median_skewness(means[:count, 0]), median_skewness(means[count:, 0]))
-            for side, (means, _) in tiles.items()
+            for side, (means, _) in sums.tiles.items()
         },
         mean_square=sums.mean_square(term_mean, reference_is_zero),
         bias_squared=pixels.squared_distance(),
@@ -351,15 +352,18 @@ class _Sums:
         scale = self.image_scale(term_mean, reference_is_zero)
         if reference_is_zero:
             return scale
-        tiles = self.tiles(TILE_SIDES[0])[0][self.sizes[0] :].mean(axis=0).reshape(4, -1)
+        tiles = self.tiles[TILE_SIDES[0]][0][self.sizes[0] :].mean(axis=0).reshape(4, -1)
         lit = np.array([np.median(each[each > 0]) if each.any() else np.inf for each in tiles])
         return np.maximum(np.minimum(scale, lit), 0.1 * min(term_mean, lit[0]))
 
-    def tiles(self, side: int) -> tuple[np.ndarray, np.ndarray]:
-        """Means (n, 4, rows, columns) over tiles and their areas, smaller ones at the right and lower border."""
-        sums, areas = self._cells()
-        sums, areas = (block_sums(each, side // CELL) for each in (sums, areas))
-        return _means(sums, areas)
+    @cached_property
+    def tiles(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """By the side of tiles, means (n, 4, rows, columns) and areas, smaller ones at the right and lower border.
+
+        Asked for once all bands are read.
+        """
+        cells = self._cells()
+        return {side: _means(*(block_sums(each, side // CELL) for each in cells)) for side in TILE_SIDES}
 
     def windows(self) -> tuple[np.ndarray, np.ndarray]:
         """The same over windows of two cells' side, which overlap by one."""
@@ -387,7 +391,7 @@ class _Sums:
         In units of one pixel's radiance where the event was met: a place that is ten times brighter has events that are
         ten times brighter. That radiance is 10 % of the typical one at least.
         """
-        smallest, largest = self.tiles(TILE_SIDES[0]), self.tiles(TILE_SIDES[-1])
+        smallest, largest = self.tiles[TILE_SIDES[0]], self.tiles[TILE_SIDES[-1]]
         regions = _means(np.moveaxis(self.regions, 2, 0).swapaxes(1, 2), self.areas)
         fluxes = []
         for means, areas in (smallest, largest, regions):
