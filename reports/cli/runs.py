@@ -177,14 +177,14 @@ def _print_results(results: dict[str, Any]) -> None:
         words = [row["verdict"] for row in known if row["group"] == group]
         counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
         terminal.output.print(f"\n[bold]{group}[/bold], its answer known: {counts}", highlight=False)
-    _print_certified(certified)
+    _print_certified(certified, allotted=bool(results["settings"].get("allotted")))
     for row in judged:
         if row["verdict"] in terminal.PROVEN or (row["verdict"] == "UNDERPOWERED" and not row.get("group")):
             where = f"{row['scene']}: {row['term']} {row['variant']}"
             terminal.say(f"{where}: {row['sentence']}")
 
 
-def _print_certified(certified: dict[str, Any]) -> None:
+def _print_certified(certified: dict[str, Any], *, allotted: bool) -> None:
     """What it took to show that the rows that passed are right."""
     ours, reference = certified["seconds"], certified["reference_seconds"]
     text = (
@@ -194,7 +194,8 @@ def _print_certified(certified: dict[str, Any]) -> None:
     )
     if certified["budget"] is not None:
         looks = ", ".join(map(str, certified["looks"]))
-        text += f" Budget {certified['budget']:g} s: {certified['spent']:.1f} s spent, looks at K = {looks}."
+        text += f" Budget {certified['budget']:g} s: {certified['spent']:.1f} s spent, looks at K = {looks}"
+        text += ", times what was allotted to each side." if allotted else "."
     terminal.say(f"\n{text}")
 
 

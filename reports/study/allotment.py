@@ -1,4 +1,4 @@
-"""Allotment: how many times the replicates of a study each side of a row gets, so that no interval is wide.
+"""Allotment: how many times the replicates of a study each side of a row gets, so that few intervals are wide.
 
 A row's mean has the relative variance `v / f + w / g`, v of ours and w of its reference with the replicates that the
 study says, f and g the factors on them. The 90 % interval's half width h asks for `v / f + w / g ≤ T`,

@@ -341,7 +341,7 @@ def test_replicates_are_allotted_where_intervals_are_wide(
     assert (again.computed, again.rendered) == (0, 0)
     assert json.loads(again.output)["settings"]["allotted"] == allotted
     page = (run.folder / "index.html").read_text()
-    assert "no 90&#8239;% interval is wider" in page
+    assert "90&#8239;% intervals are seldom wider" in page
     assert 'id="allotment"' in (run.folder / "method.html").read_text()
 
 
