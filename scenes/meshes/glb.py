@@ -72,10 +72,10 @@ class _File:
         """All triangles of the scene, placed."""
         vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
         for number in self._scene():
-            node = self.nodes[number]
+            node = self._item("nodes", number)
             if "mesh" not in node:
                 continue
-            mesh = self.description["meshes"][node["mesh"]]
+            mesh = self._item("meshes", node["mesh"])
             weights = node.get("weights", mesh.get("weights", []))
             for primitive in mesh["primitives"]:
                 if primitive.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in primitive["attributes"]:
@@ -83,7 +83,7 @@ class _File:
                 points = self._points(primitive, weights)
                 triangles = self._faces(primitive, points)
                 if "skin" in node:
-                    points = self._skinned(points, primitive["attributes"], self.description["skins"][node["skin"]])
+                    points = self._skinned(points, primitive["attributes"], self._item("skins", node["skin"]))
                 else:
                     world = self._world(number)
                     points = points @ world[:3, :3].T + world[:3, 3]
@@ -94,22 +94,30 @@ class _File:
                 count += len(points)
         return np.concatenate(vertices), np.concatenate(faces)
 
+    def _item(self, kind: str, number: int) -> Any:
+        """What has a number in one of the lists: Python would take -1 for the last."""
+        if number < 0:
+            raise IndexError(f"{kind} has no {number}")
+        return self.description[kind][number]
+
     def _scene(self) -> list[int]:
         """Nodes of the default scene, or of the first; of a file without scenes, all."""
         scenes = self.description.get("scenes", [])
-        left = list(scenes[self.description.get("scene", 0)].get("nodes", [])) if scenes else range(len(self.nodes))
-        left, found = list(left)[::-1], []
+        roots = range(len(self.nodes))
+        if scenes:
+            roots = self._item("scenes", self.description.get("scene", 0)).get("nodes", [])
+        left, found = list(roots)[::-1], []
         while left:
             found.append(left.pop())
             if scenes:
-                left += self.nodes[found[-1]].get("children", [])[::-1]
+                left += self._item("nodes", found[-1]).get("children", [])[::-1]
             if len(found) > len(self.nodes):
                 raise MeshError("a node is its own descendant, or has two parents: allowed are trees")
         return found
 
     def _world(self, number: int) -> np.ndarray:
         """Matrix (4, 4) from a node to the scene."""
-        world = _local(self.nodes[number])
+        world = _local(self._item("nodes", number))
         for _ in self.nodes:
             if number not in self.parents:
                 return world
@@ -161,7 +169,7 @@ class _File:
 
     def _accessor(self, number: int) -> np.ndarray:
         """Values (count, width) float64, integers scaled where they are normalized."""
-        accessor = self.description["accessors"][number]
+        accessor = self._item("accessors", number)
         kind, count = np.dtype(_TYPES[accessor["componentType"]]), accessor["count"]
         width = _WIDTHS[accessor["type"]]
         values = np.zeros((count, width), kind)
@@ -181,7 +189,7 @@ class _File:
 
     def _view(self, number: int, offset: int, kind: np.dtype, count: int, width: int) -> np.ndarray:
         """Numbers (count, width) of a buffer view, in its stride."""
-        view = self.description["bufferViews"][number]
+        view = self._item("bufferViews", number)
         buffer = self._buffer(view["buffer"])
         begin = view.get("byteOffset", 0)
         data = buffer[begin : begin + view["byteLength"]]
@@ -192,7 +200,7 @@ class _File:
         return np.ndarray((count, width), kind, data, offset, (stride, kind.itemsize))
 
     def _buffer(self, number: int) -> bytes:
-        buffer = self.description["buffers"][number]
+        buffer = self._item("buffers", number)
         uri = buffer.get("uri")
         if uri is None and number == 0:
             data = self.chunk

@@ -88,7 +88,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
                 raise MeshError(f"header: {' '.join(words)[:60]!r}: is no line of PLY 1.0")
     if order is None:
         raise MeshError(f"header: names no format: allowed are {', '.join(_ORDERS)}")
-    return order, elements, end.end()
+    return order, [each for each in elements if each.properties], end.end()  # the others have no data
 
 
 def _type(name: str) -> str:

@@ -292,6 +292,13 @@ def test_ply_concave_and_strips(tmp_path):
 
 
 @pytest.mark.parametrize("form", FORMS)
+def test_ply_element_without_properties(form, tmp_path):
+    """It has no data, however many rows it says."""
+    whole = ply(form).replace(b"element vertex", b"element nothing 9999999999999\nelement vertex", 1)
+    assert read(tmp_path / "a.ply", whole) == (12, 6.0, 1.0)
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_a_ply_cut_anywhere_is_refused(form, tmp_path):
     """At any byte but those of the last line's end; and with anything more than it says."""
     whole = ply(form, extra=True, mixed=True)
@@ -572,6 +579,10 @@ def test_a_cut_or_damaged_glb_is_refused(tmp_path):
             read(tmp_path / "a.glb", whole[:length])
     for old, new, message in (
         (b'"mesh": 0', b'"mesh": 7', "not valid glTF"),
+        (b'"mesh": 0', b'"mesh":-1', "meshes has no -1"),  # no last one, as in Python
+        (b'"nodes": [0]', b'"nodes":[-1]', "nodes has no -1"),
+        (b'"indices": 1', b'"indices":-1', "accessors has no -1"),
+        (b'"bufferView": 0', b'"bufferView":-2', "bufferViews has no -2"),
         (b'"count": 8', b'"count": 7', "index 7: allowed is"),
         (b'"count": 8', b'"count": 9', "holds 96 of 108 bytes"),
         (b"5126", b"5127", "5127"),
