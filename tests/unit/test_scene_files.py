@@ -1,6 +1,6 @@
 """Scene files and the model: every bad input is one line that names the file, the field, the value, what is allowed.
 
-Rationale: TOML itself has nan and inf, cattrs takes "0.5" for a number, and trimesh raises whatever its parser meets.
+Rationale: TOML itself has nan and inf, cattrs takes "0.5" for a number, and a mesh file may hold anything.
 """
 
 import math
@@ -234,7 +234,7 @@ def test_library_loads(name):
         np.testing.assert_array_equal(thing.mesh.vertices, thing.mesh.vertices.astype(np.float32))
 
 
-def test_library_is_the_four_of_the_paper():
+def test_the_names_of_the_library():
     """Their names are the product's vocabulary."""
     assert library() == ("cornell_box", "cornell_box_unshadowed", "monkey", "smooth_monkey", "two_cubes")
 
@@ -248,13 +248,13 @@ def test_the_two_boxes_differ_in_scope_alone():
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb"])
 def test_mesh_formats(suffix, tmp_path):
-    """One octahedron through four formats: the same set of triangles, normals outwards."""
-    octahedron = trimesh.creation.icosphere(subdivisions=0)
-    octahedron.export(tmp_path / f"ball{suffix}")
+    """One icosahedron through four formats: the same set of triangles, normals outwards."""
+    icosahedron = trimesh.creation.icosphere(subdivisions=0)
+    icosahedron.export(tmp_path / f"ball{suffix}")
     mesh = load(write(tmp_path, mesh_object(f"ball{suffix}"))).objects[0].mesh
     corners = mesh.vertices[mesh.faces]
-    assert len(corners) == len(octahedron.faces)
-    expected = np.sort(octahedron.triangles_center.round(5), axis=0)
+    assert len(corners) == len(icosahedron.faces)
+    expected = np.sort(icosahedron.triangles_center.round(5), axis=0)
     np.testing.assert_allclose(np.sort(corners.mean(axis=1).round(5), axis=0), expected, atol=2e-5)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((normal * corners.mean(axis=1)).sum(axis=1) > 0).all()
