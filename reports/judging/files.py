@@ -40,45 +40,39 @@ def _planes(path: Path) -> np.ndarray:
     """(H, W) numbers, or (H, W, C) colours without alpha."""
     if not path.is_file():
         raise ValueError(f"{path}: no such file: allowed are {INDEX_KINDS}")
-    try:
-        match path.suffix.lower():
-            case ".npy":
-                values = np.load(path, allow_pickle=False)
-            case ".exr":
-                values = _exr_planes(path)
-            case _:
-                from PIL import Image
-
-                with Image.open(path) as image:
-                    # A palette's indices are the objects; of grey with alpha, grey.
-                    mode = {"P": "P", "1": "L", "LA": "L", "RGBA": "RGB", "PA": "P"}.get(image.mode, image.mode)
-                    values = np.asarray(image if mode == image.mode else image.convert(mode))
-    except (OSError, ValueError, RuntimeError, EOFError) as error:
-        why = " ".join(str(error).split())
-        raise ValueError(
-            f"{path}: cannot be read as an index image or mask ({why}): allowed are {INDEX_KINDS}"
-        ) from None
+    if path.suffix.lower() == ".exr":
+        values = _exr_planes(path)
+    else:
+        try:
+            values = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else _picture(path)
+        except (OSError, ValueError, RuntimeError, EOFError) as error:
+            why = " ".join(str(error).split())
+            raise ValueError(
+                f"{path}: cannot be read as an index image or mask ({why}): allowed are {INDEX_KINDS}"
+            ) from None
     values = values.squeeze(-1) if values.ndim == 3 and values.shape[2] == 1 else values
     if values.ndim not in (2, 3) or values.dtype.kind not in "biuf":
         raise ValueError(f"{path}: {values.dtype} {values.shape}: allowed is one number a pixel, or a colour")
     return values
 
 
+def _picture(path: Path) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        # A palette's indices are the objects; of grey with alpha, grey.
+        mode = {"P": "P", "1": "L", "LA": "L", "RGBA": "RGB", "PA": "P"}.get(image.mode, image.mode)
+        return np.asarray(image if mode == image.mode else image.convert(mode))
+
+
 def _exr_planes(path: Path) -> np.ndarray:
     """The one channel of a file, whatever it is called; that of an index among several; else its colours."""
-    import OpenEXR
+    from termwise.scenes.images import openexr
 
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        for part in file.parts:
-            data, display = (
-                [tuple(map(int, end)) for end in part.header[f"{name}Window"]] for name in ("data", "display")
-            )
-            if data != display:
-                raise ValueError("its data window is not its display window: write all of it")
-        channels = {name: np.asarray(channel.pixels) for part in file.parts for name, channel in part.channels.items()}
+    channels = openexr.read_channels(path)
     colours = [name for name in channels if name.rpartition(".")[2].upper() in ("R", "G", "B")]
     indices = [name for name in channels if re.search(r"index|object|\bid\b", name, re.IGNORECASE)]
     chosen = list(channels) if len(channels) == 1 else indices or colours
     if len(chosen) not in (1, 3):
-        raise ValueError(f"its channels are {', '.join(channels)}, where one is allowed, or R, G and B")
+        raise ValueError(f"{path}: its channels are {', '.join(channels)}, where one is allowed, or R, G and B")
     return channels[chosen[0]] if len(chosen) == 1 else np.stack([channels[name] for name in chosen], axis=-1)

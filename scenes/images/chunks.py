@@ -98,19 +98,19 @@ def _end_of_header(path: Path, data: bytes | mmap.mmap, at: int, ended: ValueErr
         at += 4 + size
 
 
-def check(path: Path, headers: list[dict[str, Any]]) -> None:
+def check(path: Path, headers: list[dict[str, Any]], table: int) -> None:
     """Refuse a file of which any chunk is missing or stands at a wrong place.
 
     Parameters
     ----------
     path : of the file.
     headers : of its parts, as the library reads them; none of them deep.
+    table : where that of chunks begins, `end_of_headers`.
 
     Raises
     ------
     ValueError : one line.
     """
-    table = end_of_headers(path)
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         several = bool(struct.unpack_from("<I", data, 4)[0] & _MULTIPART)
         counts = [_count(header) for header in headers]

@@ -51,9 +51,22 @@ def read_all(path: Path) -> dict[str, Image]:
     return dict(zip(layers, _images(path, headers, list(layers.values())), strict=True))
 
 
+def read_channels(path: Path) -> dict[str, np.ndarray]:
+    """All channels by name, (H, W) of the numbers that the file holds; a ValueError says what is wrong.
+
+    A data window that is not the display window is refused: what stands outside of it, no number says.
+    """
+    headers = _headers(path)
+    if any((header["dataWindow"][k] != header["displayWindow"][k]).any() for header in headers for k in (0, 1)):
+        raise ValueError(f"{path}: its data window is not its display window: write all of it")
+    parts = [_Layer(part, (), tuple(header["channels"])) for part, header in enumerate(headers)]
+    stored = zip(parts, _stored(path, headers, parts), strict=True)
+    return {name: plane for part, planes in stored for name, plane in zip(_names(part), planes, strict=True)}
+
+
 def _headers(path: Path) -> list[dict[str, Any]]:
     """Of the parts of a file that is whole and flat."""
-    chunks.end_of_headers(path)  # a file that ends in them is cut short
+    table = chunks.end_of_headers(path)  # a file that ends in them is cut short
     try:
         with _silent(), OpenEXR.File(str(path), header_only=True) as file:
             headers = [dict(part.header) for part in file.parts]
@@ -64,7 +77,7 @@ def _headers(path: Path) -> list[dict[str, Any]]:
             raise ValueError(f"{path}: is deep, many samples a pixel, which no verdict is about: write it flattened")
         for window in ("dataWindow", "displayWindow"):
             check_size(path, *_size(header, window))
-    chunks.check(path, headers)
+    chunks.check(path, headers, table)
     return headers
 
 
@@ -134,6 +147,18 @@ def _chosen(path: Path, headers: list[dict[str, Any]], layer: str | None) -> _La
 
 
 def _images(path: Path, headers: list[dict[str, Any]], layers: list[_Layer]) -> list[Image]:
+    found = []
+    for layer, planes in zip(layers, _stored(path, headers, layers), strict=True):
+        for channel, plane in zip(layer.channels, planes, strict=True):
+            if plane.dtype.kind != "f":
+                integers = f"channel {channel.name} holds integers"
+                raise ValueError(f"{path}: {integers}, which radiance is not: write float or half")
+        found.append(_image(path, headers[layer.part], layer, planes))
+    return found
+
+
+def _stored(path: Path, headers: list[dict[str, Any]], layers: list[_Layer]) -> list[list[np.ndarray]]:
+    """The pixels of each channel of some layers, (H, W) of the data window in the file's own type."""
     for channel in (each for layer in layers for each in layer.channels):
         if (channel.xSampling, channel.ySampling) != (1, 1):
             raise ValueError(
@@ -146,15 +171,11 @@ def _images(path: Path, headers: list[dict[str, Any]], layers: list[_Layer]) -> 
     except Exception as error:  # as above
         why = f"its pixels cannot be decoded ({_said(error)})"
         raise ValueError(f"{path}: is damaged, {why}: write or copy it again") from None
-    found = []
-    for layer, planes in zip(layers, stored, strict=True):
-        for channel, plane in zip(layer.channels, planes, strict=True):
-            if plane.dtype.kind != "f":
-                integers = f"channel {channel.name} holds integers"
-                raise ValueError(f"{path}: {integers}, which radiance is not: write float or half")
-        width, height = _size(headers[layer.part], "dataWindow")
-        found.append(_image(path, headers[layer.part], layer, [plane.reshape(height, width) for plane in planes]))
-    return found
+    sizes = [_size(headers[layer.part], "dataWindow") for layer in layers]
+    return [
+        [plane.reshape(height, width) for plane in planes]
+        for (width, height), planes in zip(sizes, stored, strict=True)
+    ]
 
 
 def _planes_of_one(path: Path, layers: list[_Layer]) -> list[list[np.ndarray]]:

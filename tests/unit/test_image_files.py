@@ -19,6 +19,7 @@ import tifffile
 from PIL import Image as Picture
 
 from termwise.reference import backend
+from termwise.reports.judging.files import index_image, mask_image
 from termwise.scenes import images
 
 HEIGHT, WIDTH = 20, 30
@@ -388,6 +389,19 @@ def test_a_damaged_header_is_never_a_traceback(tmp_path: Path, capfd: pytest.Cap
             refusals += 1
     assert refusals > 0 or kind in ("pfm", "hdr")
     assert capfd.readouterr() == ("", "")
+
+
+def test_an_index_image_is_whole(tmp_path: Path):
+    """Of a file whose second part is missing, the library returns the colours of the first: objects of another kind."""
+    indices = RNG.integers(0, 5, (HEIGHT, WIDTH)).astype(np.uint32)
+    path = write_parts(tmp_path / "a.exr", {"beauty": named("{}"), "ids": {"object index": indices}})
+    assert np.array_equal(index_image(path), indices)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 3 // 4])
+    with pytest.raises(ValueError, match=r"^[^:]*a.exr: is cut short: [^\n]*$"):
+        index_image(path)
+    with pytest.raises(ValueError, match="is not its display window"):
+        mask_image(windowed(tmp_path / "b.exr", (20, 10), (0, 0, 63, 47)))
 
 
 def test_a_header_without_its_window_is_refused(tmp_path: Path):
