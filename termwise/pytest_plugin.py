@@ -6,7 +6,9 @@ the session fails. Of pytest-xdist's workers, each measures, and the session tha
 """
 
 import base64
+import itertools
 import pickle
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -39,7 +41,7 @@ class _Session:
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
         self.out = Path(config.rootpath, str(config.getoption("--termwise-out")))
-        self.measured: list[tuple[str, str, float, Any]] = []
+        self.measured: list[tuple[str, str, str, float, Any]] = []
         self.lines: list[str] = []
 
     @property
@@ -61,11 +63,14 @@ class _Session:
         from termwise.reports.judging.suite import slug
 
         margin = self.number("termwise_margin") if margin is None else margin
-        taken = {each for _, each, _, _ in self.measured}
-        unique = name if name not in taken else f"{name} {sum(each.startswith(name) for each in taken) + 1}"
+        taken = {each for _, each, *_ in self.measured}
+        numbered = (f"{name} {number}" for number in itertools.count(2))
+        unique = next(each for each in itertools.chain([name], numbered) if each not in taken)
+        # Another worker may have a test of this name, in another file: both write at once.
+        place = f"{slug(unique)}-{zlib.crc32(f'{test} {unique}'.encode()):08x}"
         found = measure(images, reference, margin=margin, level=self.number("termwise_level"), **options)
-        keep(self.out / slug(unique), found)
-        self.measured.append((test, unique, margin, found.without_images()))
+        keep(self.out / place, found)
+        self.measured.append((test, unique, place, margin, found.without_images()))
 
     @pytest.hookimpl(tryfirst=True)  # reports of the session are written later
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -86,16 +91,16 @@ class _Session:
         from termwise.reports.judging.suite import decide_all
         from termwise.testing import explained
 
-        self.measured.sort(key=lambda each: each[1])
+        self.measured.sort(key=lambda each: (each[1], each[0]))
         outcomes = decide_all(
-            [(name, found) for _, name, _, found in self.measured],
+            [(name, place, found) for _, name, place, _, found in self.measured],
             self.out,
-            margins=[margin for _, _, margin, _ in self.measured],
+            margins=[margin for *_, margin, _ in self.measured],
             level=self.number("termwise_level"),
             command="pytest",
         )
         failed = 0
-        for (test, name, _, _), outcome in zip(self.measured, outcomes, strict=True):
+        for (test, name, *_), outcome in zip(self.measured, outcomes, strict=True):
             if outcome.judgement.verdict == "EQUIVALENT":
                 continue
             failed += 1

@@ -131,20 +131,21 @@ def judge_all(
 
     for name in ("index.html", "results.json"):
         (folder / name).unlink(missing_ok=True)
-    found: list[tuple[str, Measured]] = []
-    for number, case in enumerate(cases, 1):
+    found: list[tuple[str, str, Measured]] = []
+    places = _places([case.name for case in cases])
+    for number, (case, place) in enumerate(zip(cases, places, strict=True), 1):
         say(f"{number} of {len(cases)}: {case.name}")
         try:
             measured = measure(case.images, case.reference, margin=margin, level=level, **options, **case.options)
         except ValueError as error:
             raise ValueError(f"case {case.name}: {error}") from None
-        keep(folder / slug(case.name), measured, exposure=exposure, command=command)
-        found.append((case.name, measured.without_images()))
+        keep(folder / place, measured, exposure=exposure, command=command)
+        found.append((case.name, place, measured.without_images()))
     return decide_all(found, folder, margin=margin, level=level, command=command)
 
 
 def decide_all(
-    measured: Sequence[tuple[str, Measured]],
+    measured: Sequence[tuple[str, str, Measured]],
     folder: Path,
     *,
     margin: float = MARGIN,
@@ -152,9 +153,10 @@ def decide_all(
     margins: Sequence[float] = (),
     command: str = "",
 ) -> list[Outcome]:
-    """Decide what was measured and kept in `folder`, all under one level, and write the pages and the index.
+    """Decide what was measured and kept, all under one level, and write the pages and the index.
 
-    `margins` are those of each, where they differ.
+    `measured` are a name, the folder in `folder` that holds its images, and what was found; `margins` are those of
+    each, where they differ.
     """
     from termwise.reports.judging.folder import publish
     from termwise.reports.machine import versions
@@ -162,11 +164,11 @@ def decide_all(
     from termwise.reports.results.schema import SCHEMA, plain
     from termwise.scenes.store import write_atomically
 
-    tests = sum(each.statistics.tests for _, each in measured)
+    tests = sum(each.statistics.tests for *_, each in measured)
     outcomes = []
-    for index, (name, each) in enumerate(measured):
+    for index, (name, place, each) in enumerate(measured):
         judgement = each.decide(tests=max(tests, 1), margin=margins[index] if margins else margin, level=level)
-        page = publish(folder / slug(name), judgement, command=command, root="../")
+        page = publish(folder / place, judgement, command=command, root="../")
         outcomes.append(Outcome(name, judgement, page))
     results = plain(
         {
@@ -191,6 +193,15 @@ def rows(outcomes: Iterable[Outcome], folder: Path) -> list[dict[str, Any]]:
     return [
         {"name": each.name, "page": each.page.relative_to(folder).as_posix()} | each.judgement.row() for each in ordered
     ]
+
+
+def _places(names: Sequence[str]) -> list[str]:
+    """A folder for each name, numbered where two would share one."""
+    found: list[str] = []
+    for name in names:
+        numbered = (f"{slug(name)}-{number}" for number in itertools.count(2))
+        found.append(next(each for each in itertools.chain([slug(name)], numbered) if each not in found))
+    return found
 
 
 def slug(name: str) -> str:

@@ -16,6 +16,7 @@ import yaml
 from PIL import Image
 
 import termwise
+from termwise import pytest_plugin
 from termwise.reports import cli
 from termwise.reports.judging import gates
 from termwise.reports.judging import suite as suites
@@ -230,6 +231,21 @@ def test_bad_input_is_a_line(
     assert not Path("out/judge/index.html").exists()
 
 
+def test_cases_whose_names_are_one_in_an_address_have_a_page_each(replicates: Replicates, run: Run):
+    for name, gain in (("a b", 1.0), ("a-b", 1.05)):
+        replicates(f"mine/{name}", gain=gain)
+        replicates(f"ref/{name}")
+    assert run("--suite", "mine", "--reference", "ref", "--no-hints") == 1
+    rows = json.loads(Path("out/judge/results.json").read_text("utf-8"))["cases"]
+    kept = {
+        row["name"]: json.loads(Path("out/judge", row["page"]).with_name("results.json").read_text()) for row in rows
+    }
+    assert {name: Path(found["settings"]["images"][0]).parent.name for name, found in kept.items()} == {
+        "a b": "a b",
+        "a-b": "a-b",
+    }
+
+
 def test_a_broken_case_is_named(replicates: Replicates, run: Run, capsys: pytest.CaptureFixture[str]):
     for folder in ("mine/left", "ref/left", "mine/right", "ref/right"):
         replicates(folder, count=4)
@@ -272,6 +288,24 @@ def test_at_once():
 
     assert_equivalent(replicates(1.05), replicates())
 """
+
+
+def test_tests_of_one_name_on_two_workers_have_a_page_each(tmp_path: Path):
+    class Config:
+        """Of a worker: what the plugin asks of it."""
+
+        rootpath = tmp_path
+        getoption = staticmethod(lambda name: "out")
+        getini = staticmethod({"termwise_level": "0.05", "termwise_margin": "0.01"}.__getitem__)
+
+    rng = np.random.default_rng(1)
+    ours, reference = rng.gamma(100, 0.01, (2, 4, 8, 8, 3))
+    for test in ("a.py::test_box", "b.py::test_box"):
+        worker = pytest_plugin._Session(Config())  # type: ignore[arg-type]
+        worker.add(test, "test_box", ours, reference, None, {})
+        worker.add(test, "test_box", ours, reference, None, {})
+        assert [name for _, name, *_ in worker.measured] == ["test_box", "test_box 2"]
+    assert len(list((tmp_path / "out").iterdir())) == 4
 
 
 def test_the_start_of_pytest_loads_nothing_heavy():
