@@ -44,8 +44,8 @@ def assert_equivalent(
 
     Raises
     ------
-    AssertionError : the verdict is another one; its text is the verdict in plain words, its sentence, hints, and the
-        path of the page.
+    AssertionError : the verdict is another one; its text is the verdict in plain words, its sentence, hints, warnings,
+        and the path of the page.
     ValueError : the images cannot be compared.
     """
     import termwise
@@ -60,8 +60,9 @@ def assert_equivalent(
 
 def explained(judgement: "Judgement", page: Path) -> str:
     """The text of a failure."""
-    hints = [f"hint: {hint.text}" for hint in judgement.hints]
-    return "\n".join([judgement.headline, judgement.sentence, *hints, f"report: {page.resolve()}"])
+    from termwise.reports.judging.gates import words
+
+    return "\n".join([judgement.headline, words(judgement), f"report: {page.resolve()}"])
 
 
 def current_test() -> str:
