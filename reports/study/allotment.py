@@ -35,7 +35,7 @@ WORK = 4.0
 AIM = 0.85  # of the half width: by 32 replicates a side it is itself known to 9 %
 DOF = 62  # of those
 PRICE = 8.0
-"""Of a reference's sample, one of ours costing 1, roughly: it divides the work between the sides and decides no width."""
+"""Of a reference's sample, one of ours costing 1, roughly: it divides work between the sides and decides no width."""
 _STEP = 4  # quarters of the study's replicates
 _WIDER = 2.0**0.125
 
