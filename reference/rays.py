@@ -83,12 +83,13 @@ def blocked(loaded: Any, scene: Any, si: Any, ray: Any, active: Any) -> Any:
 @dr.syntax
 def _through(scene: Any, own: Any, ray: Any, met: Any, active: Any) -> tuple[Any, Any]:
     ray, met = mi.Ray3f(ray), mi.SurfaceInteraction3f(met)
+    # Behind each face the ray begins anew, lifted off it: where it ends, before a light's face, must not move along.
+    ends = ray.maxt < dr.largest(mi.Float)
+    end = ray(dr.select(ends, ray.maxt, 0.0))
     inside = active & met.is_valid() & (met.shape == own)
     crossed = mi.UInt32(0)
     while inside:
-        reach = ray.maxt - met.t
-        ray = spawn(met, ray.d)
-        ray.maxt = reach
+        ray = dr.select(ends, segment(met, end, mi.Normal3f(0.0)), spawn(met, ray.d))
         met = scene.ray_intersect(ray, inside)
         crossed += 1
         inside &= met.is_valid() & (met.shape == own) & (crossed < OWN_FACES)
