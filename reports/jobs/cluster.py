@@ -20,6 +20,7 @@ import runpy
 import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, cast
 
@@ -264,6 +265,21 @@ class Cluster:
                 estimators = self.estimators.name, self.estimators.read_text("utf-8")
             terms = Terms(str(cache.absolute()), probe, Machine.here(), estimators)
             yield from _Run(self, cache, terms).outcomes(jobs, dropped)
+
+    def executor(self) -> Executor:
+        """Workers for functions that are no jobs and keep no files, as an executor of concurrent.futures.
+
+        Raises
+        ------
+        ClusterError : no worker is like this machine.
+        """
+        found = cast(Any, self.client.run(_unlike, Machine.here()))
+        for worker, why in found.items():
+            if why:
+                self.say(f"{worker} is refused: {why}")
+        if not (alike := [worker for worker, why in found.items() if not why]):
+            raise ClusterError(f"{_address(self.client)}: no worker there is like this machine")
+        return self.client.get_executor(workers=alike, pure=False, retries=_RETRIES)
 
 
 @contextlib.contextmanager

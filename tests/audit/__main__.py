@@ -4,10 +4,14 @@ Exit status 0: the gates hold; 1: too many false alarms, a test that is blind, a
 of the planted faults caught, or anything worse than in the run that was recorded last (`tests.audit.history`).
 """
 
+import contextlib
 import json
+import multiprocessing
 import os
 import sys
 import time
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,7 +52,7 @@ def audit(
     rows: tuple[nulls.Rendered, ...] = nulls.ROWS,
     plants: tuple[Plant, ...] = ALL,
     seed: int = 1,
-    jobs: int = 1,
+    executor: Executor,
     recorded: list[dict[str, Any]] | None = None,
     stages: progress.Stages = lambda name: progress.silent,
 ) -> dict[str, Any]:
@@ -60,7 +64,7 @@ def audit(
         itself, and runs that are given the bias that they print.
     rows, plants : what is rendered.
     seed : of everything random.
-    jobs : processes at once.
+    executor : its processes draw and render, each in a copy of the sources.
     recorded : runs of the history; by default those that are kept.
     stages : shows the progress.
 
@@ -70,12 +74,12 @@ def audit(
         What `results.json` holds; `failures` says in words why it does not pass.
     """
     began = time.monotonic()
-    of_laws = nulls.synthetic(nulls.ordinary(ordinary), seed=seed, jobs=jobs, report=stages("ordinary nulls"))
-    of_all = nulls.synthetic(nulls.awkward(awkward), seed=seed + 1, jobs=jobs, report=stages("awkward nulls"))
+    of_laws = nulls.synthetic(nulls.ordinary(ordinary), seed=seed, executor=executor, report=stages("ordinary nulls"))
+    of_all = nulls.synthetic(nulls.awkward(awkward), seed=seed + 1, executor=executor, report=stages("awkward nulls"))
     of_rows = nulls.rendered(rendered_each, seed=seed, rows=rows, report=stages("rendered nulls"))
     usual, synthetic, rendered = (sum(each.values(), Alarms()) for each in (of_laws, of_all, of_rows))
     detected = share_found(np.random.default_rng(seed), detections)
-    controls, found = faults.run(plants, seed=seed, jobs=jobs, report=stages("planted faults"))
+    controls, found = faults.run(plants, seed=seed, executor=executor, report=stages("planted faults"))
     caught = sum(outcome.caught for outcome in found.values())
     welch = stats.binomtest(usual.welch, usual.runs, LEVEL)
     interval = welch.proportion_ci(1 - BLIND)
@@ -188,6 +192,23 @@ def show(console: Console, results: dict[str, Any]) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
+@contextlib.contextmanager
+def _executor(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Executor]:
+    """Processes of this machine, or of a cluster."""
+    if workers is None and scheduler is None:
+        # Not forked: this process may have threads.
+        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+            yield pool
+    else:
+        from termwise.reports.jobs.cluster import connected
+
+        def say(line: str) -> None:
+            print(line, file=sys.stderr)
+
+        with connected(say, workers=workers, scheduler=scheduler) as cluster:
+            yield cluster.executor()
+
+
 app = cyclopts.App(name="audit", help="Count the verdict's false alarms and misses.", version_flags=[])
 
 
@@ -197,6 +218,8 @@ def main(
     out: Path = Path("out"),
     seed: int = 1,
     jobs: int = os.cpu_count() or 1,
+    workers: int | None = None,
+    scheduler: str | None = None,
     record: Annotated[bool, Parameter(negative="")] = False,
     quiet: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -210,13 +233,17 @@ def main(
         Of everything random.
     jobs
         Processes at once.
+    workers
+        Instead, so many processes as workers of dask.distributed on this machine.
+    scheduler
+        Instead, the address of a dask scheduler, as tcp://host:8786, whose workers have this checkout.
     record
         Add the run to the history, by which later ones are measured.
     quiet
         No progress on standard error.
     """
-    with progress.stages(Console(stderr=True), quiet=quiet) as stages:
-        results = audit(seed=seed, jobs=jobs, stages=stages)
+    with _executor(jobs, workers, scheduler) as executor, progress.stages(Console(stderr=True), quiet=quiet) as stages:
+        results = audit(seed=seed, executor=executor, stages=stages)
     console = Console(width=None if sys.stdout.isatty() else 140)
     show(console, results)
     if record:

@@ -13,10 +13,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from concurrent.futures import Executor
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import attrs
@@ -97,26 +96,17 @@ def _test(reason: str) -> str:
 
 
 class Tree:
-    """A copy of the sources in a folder that vanishes with the context; kernels compiled there serve all faults."""
+    """A copy of the sources in a folder that vanishes with it; kernels compiled there serve all faults."""
 
-    def __init__(self, *, seed: int) -> None:
-        self.seed = seed
+    def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="termwise-audit-")
         self.root = Path(self._folder.name) / "tree"
-
-    def __enter__(self) -> "Tree":
-        """Copy the sources."""
         for package in _COPIED:
             ignored = shutil.ignore_patterns("__pycache__")
             shutil.copytree(ROOT / package, self.root / package, symlinks=True, ignore=ignored)
         shutil.copy2(ROOT / "pyproject.toml", self.root)
-        return self
 
-    def __exit__(self, *exception: object) -> None:
-        """Remove the copy."""
-        self._folder.cleanup()
-
-    def replicates(self, case: Case, plant: Plant | None = None) -> np.ndarray:
+    def replicates(self, case: Case, plant: Plant | None = None, *, seed: int) -> np.ndarray:
         """Replicates (K, H, W, 3) of a case with a fault planted; kept in the cache by the content of both.
 
         Raises
@@ -127,10 +117,10 @@ class Tree:
             The copy cannot be rendered: the process says why. A crash catches nothing.
         """
         content = attrs.astuple(case), case.build().digest(), Path(worker.__file__).read_text("utf-8")
-        path = self._kept(_RENDERED, plant, (content, self.seed, REPLICATES)).with_suffix(".npy")
+        path = self._kept(_RENDERED, plant, (content, seed, REPLICATES)).with_suffix(".npy")
 
         def render(images: Path) -> None:
-            settings = json.dumps({"case": attrs.asdict(case), "count": REPLICATES, "seed": self.seed})
+            settings = json.dumps({"case": attrs.asdict(case), "count": REPLICATES, "seed": seed})
             done = self._run([worker.__file__, settings, str(images.resolve())], plant)
             if done.returncode:
                 raise RuntimeError(f"{case}: {done.stderr.strip().splitlines()[-1]}")
@@ -213,10 +203,26 @@ def truth(case: Case, *, seed: int) -> np.ndarray:
     return store.replicates(scene, limit, spp=spp, seed=seed, count=REPLICATES, folder=folder).images
 
 
+# Copies in this process that nobody uses. A process has as many as it was ever asked for at once.
+_trees: SimpleQueue[Tree] = SimpleQueue()
+
+
+def _show(plant: Plant | None, by: Case | tuple[Test, ...], seed: int) -> np.ndarray | Judged:
+    """Replicates of a case, or what became of tests, with a fault planted in a copy of the sources."""
+    try:
+        tree = _trees.get_nowait()
+    except Empty:
+        tree = Tree()
+    try:
+        return tree.replicates(by, plant, seed=seed) if isinstance(by, Case) else tree.test(by, plant)
+    finally:
+        _trees.put(tree)
+
+
 def run(
-    plants: tuple[Plant, ...], *, seed: int, jobs: int, report: Callable[[str, int, int], object]
+    plants: tuple[Plant, ...], *, seed: int, executor: Executor, report: Callable[[str, int, int], object]
 ) -> tuple[dict[Case | Test, Judged], dict[str, Judged]]:
-    """Judge every case and run every test without a fault, then every fault; `jobs` copies of the sources at once.
+    """Judge every case and run every test without a fault, then every fault, in an executor's processes.
 
     Returns
     -------
@@ -239,34 +245,23 @@ def run(
     work += [(plant, plant.shown if isinstance(plant.shown, Case) else (plant.shown,)) for plant in plants]
     controls: dict[Case | Test, Judged] = {}
     found: dict[str, Judged] = {}
-    trees: SimpleQueue[Tree] = SimpleQueue()
-    with ExitStack() as folders, ThreadPoolExecutor(jobs) as pool:
-        for _ in range(jobs):
-            trees.put(folders.enter_context(Tree(seed=seed)))
-
-        def show(plant: Plant | None, by: Case | tuple[Test, ...]) -> np.ndarray | Judged:
-            tree = trees.get()
-            try:
-                return tree.replicates(by, plant) if isinstance(by, Case) else tree.test(by, plant)
-            finally:
-                trees.put(tree)
-
-        shows = [pool.submit(show, plant, by) for plant, by in work]
-        try:
-            truths = {case: truth(case, seed=seed) for case in cases}
-            for done, ((plant, by), each) in enumerate(zip(work, shows, strict=True)):
-                report(plant.name if plant else "without a fault", done, len(work))
-                result = each.result()
-                if not isinstance(result, Judged):
-                    assert isinstance(by, Case)
-                    result = judge(result, truths[by])
-                if plant is not None:
-                    # Not where the same is said without the fault.
-                    said = plant.tolerated and "said" in result.by and "said" not in controls[plant.shown].by
-                    found[plant.name] = attrs.evolve(result, verdict=SAID) if said else result
-                else:
-                    controls |= dict.fromkeys((by,) if isinstance(by, Case) else by, result)
-        finally:
-            pool.shutdown(cancel_futures=True)
+    shows = [executor.submit(_show, plant, by, seed) for plant, by in work]
+    try:
+        truths = {case: truth(case, seed=seed) for case in cases}
+        for done, ((plant, by), each) in enumerate(zip(work, shows, strict=True)):
+            report(plant.name if plant else "without a fault", done, len(work))
+            result = each.result()
+            if not isinstance(result, Judged):
+                assert isinstance(by, Case)
+                result = judge(result, truths[by])
+            if plant is not None:
+                # Not where the same is said without the fault.
+                said = plant.tolerated and "said" in result.by and "said" not in controls[plant.shown].by
+                found[plant.name] = attrs.evolve(result, verdict=SAID) if said else result
+            else:
+                controls |= dict.fromkeys((by,) if isinstance(by, Case) else by, result)
+    finally:
+        for each in shows:
+            each.cancel()
     report("faults", len(work), len(work))
     return controls, found

@@ -10,10 +10,9 @@ as the binomial law says where noise is ordinary, for a test that never alarms i
 
 import hashlib
 import itertools
-import multiprocessing
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor
 from typing import Literal
 
 import attrs
@@ -201,17 +200,15 @@ def _batch(null: Null, runs: int, seed: tuple[int, ...]) -> Alarms:
 
 
 def synthetic(
-    nulls: list[tuple[Null, int]], *, seed: int, jobs: int, report: Callable[[str, int, int], object]
+    nulls: list[tuple[Null, int]], *, seed: int, executor: Executor, report: Callable[[str, int, int], object]
 ) -> dict[Null, Alarms]:
-    """So many runs of each null, by `jobs` processes."""
+    """So many runs of each null, in an executor's processes."""
     found: dict[Null, Alarms] = defaultdict(Alarms)
     seeds = ((seed, number) for number in range(len(nulls)))
-    # Not forked: this process may have threads.
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-        outcomes = pool.map(_batch, *zip(*nulls, strict=True), seeds, chunksize=4)
-        for done, ((null, _), alarms) in enumerate(zip(nulls, outcomes, strict=True), 1):
-            found[null] += alarms
-            report(null.law, done, len(nulls))
+    outcomes = executor.map(_batch, *zip(*nulls, strict=True), seeds)
+    for done, ((null, _), alarms) in enumerate(zip(nulls, outcomes, strict=True), 1):
+        found[null] += alarms
+        report(null.law, done, len(nulls))
     return dict(found)
 
 

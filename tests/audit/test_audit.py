@@ -3,7 +3,8 @@
 import json
 import re
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor as Threads
+from queue import SimpleQueue
 
 import attrs
 import numpy as np
@@ -56,17 +57,17 @@ def test_a_plant_that_does_not_fit_is_an_error(before):
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[faults.Tree]:
     """One copy of the sources for all tests; its kernels are plain Python."""
-    with pytest.MonkeyPatch.context() as patch, faults.Tree(seed=3) as copy:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TERMWISE_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setenv("NUMBA_DISABLE_JIT", "1")
-        yield copy
+        yield faults.Tree()
 
 
 def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree):
     """The gain is exact, the sources stay as they are, and what follows in the same copy has no fault."""
     source = (ROOT / GAIN.path).read_bytes()
-    fault = tree.replicates(TINY, GAIN)
-    sound = tree.replicates(TINY)
+    fault = tree.replicates(TINY, GAIN, seed=3)
+    sound = tree.replicates(TINY, seed=3)
     assert (tree.root / GAIN.path).read_bytes() == source
     assert fault.shape == (faults.REPLICATES, 2, 2, 3)
     np.testing.assert_allclose(fault, 1.01 * sound, rtol=1e-6)
@@ -80,7 +81,7 @@ def test_a_crash_catches_nothing(tree):
         GAIN, path="renderer/__init__.py", before=first, after=f'raise ArithmeticError("planted")\n{first}'
     )
     with pytest.raises(RuntimeError, match="planted"):
-        tree.replicates(TINY, crash)
+        tree.replicates(TINY, crash, seed=3)
 
 
 def test_a_fault_in_no_image_is_caught_by_its_test(tree):
@@ -91,6 +92,22 @@ def test_a_fault_in_no_image_is_caught_by_its_test(tree):
     found = tree.test((plant.shown,), plant)
     assert (found.verdict, found.by, found.caught) == (faults.FAILED, ("test",), True)
     assert "test_strangers_are_refused" in found.text
+
+
+def test_faults_and_controls_are_shown_by_an_executor(tree, monkeypatch):
+    """Those of a case and of a test, each without a fault too; what an executor's process copied it uses again."""
+    refused = next(plant for plant in UNSEEN if "any origin" in plant.name)
+    double = attrs.evolve(GAIN, shown=TINY, after=GAIN.after.replace("1.01", "2.0"))
+    sound = tree.replicates(TINY, seed=4)
+    monkeypatch.setattr(faults, "truth", lambda case, *, seed: sound)
+    monkeypatch.setattr(faults, "_trees", SimpleQueue())
+    faults._trees.put(tree)
+    with Threads(1) as threads:
+        controls, found = faults.run((double, refused), seed=3, executor=threads, report=lambda *_: None)
+    assert [outcome.caught for outcome in controls.values()] == [False, False]
+    assert [outcome.caught for outcome in found.values()] == [True, True]
+    assert faults._trees.get_nowait() is tree
+    assert faults._trees.empty()
 
 
 def test_what_catches_a_fault_is_named():
@@ -145,14 +162,13 @@ def test_awkward_nulls_are_all_there_is():
     assert ours.std(axis=0).mean() > 3 * reference.std(axis=0).mean()
 
 
-def test_synthetic_nulls_are_counted(monkeypatch):
-    """By threads, which have nothing to import; the same seeds give the same alarms."""
-    monkeypatch.setattr(nulls, "ProcessPoolExecutor", lambda jobs, context: ThreadPoolExecutor(jobs))
+def test_synthetic_nulls_are_counted():
+    """By threads, which have nothing to import; the same seeds give the same alarms for any number of them."""
     few = nulls.Null("skewed", "ours", 4, 8)
     wanted = [(few, 2), (nulls.Null("correlated", "both sides", 8, 4), 1), (few, 3)]
-    found = nulls.synthetic(wanted, seed=1, jobs=2, report=lambda *_: None)
-    assert [alarms.runs for alarms in found.values()] == [5, 1]
-    assert nulls.synthetic(wanted, seed=1, jobs=1, report=lambda *_: None) == found
+    found = [nulls.synthetic(wanted, seed=1, executor=pool, report=lambda *_: None) for pool in map(Threads, (2, 1))]
+    assert [alarms.runs for alarms in found[0].values()] == [5, 1]
+    assert found[0] == found[1]
 
 
 def test_synthetic_nulls_are_counted_by_what_they_share():
@@ -251,7 +267,8 @@ def test_results_and_page(tmp_path, monkeypatch):
     monkeypatch.setattr(faults, "run", lambda plants, **_: (controls, outcomes))
     few = {nulls.Null("skewed", "ours", 4, 8): nulls.Alarms(40, 1, 2)}
     monkeypatch.setattr(nulls, "synthetic", lambda *_, **__: few)
-    results = command.audit(rendered_each=1, detections=1, rows=(), recorded=[])
+    with Threads(1) as threads:
+        results = command.audit(executor=threads, rendered_each=1, detections=1, rows=(), recorded=[])
     assert results["planted"] == len(ALL)
     assert results["caught"] == len(ALL) - 1
     assert any("control background seen, two_cubes" in text for text in results["failures"])

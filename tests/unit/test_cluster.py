@@ -190,6 +190,17 @@ def test_workers_that_are_not_like_this_machine_are_refused(
     assert "another estimator" in lines[-1]
 
 
+def test_functions_are_done_by_workers_that_are_like_this_machine(two: Cluster, lines: list[str], monkeypatch):
+    executor = two.executor()
+    assert list(executor.map(divmod, (7, 8), (4, 4))) == [(1, 3), (2, 0)]
+    assert executor.submit(os.getpid).result() != os.getpid()
+    here = attrs.evolve(Machine.here(), processor="another")
+    monkeypatch.setattr(Machine, "here", lambda: here)
+    with pytest.raises(ClusterError, match="no worker there is like this machine"):
+        two.executor()
+    assert "is refused: processor" in lines[-1]
+
+
 def test_estimators_of_a_file_are_registered_on_workers(two: Cluster, tmp_path: Path):
     file = tmp_path / "mine.py"
     file.write_text(
