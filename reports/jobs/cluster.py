@@ -13,16 +13,19 @@ import functools
 import hashlib
 import importlib.metadata
 import logging
+import math
 import os
 import pickle
 import platform
 import runpy
 import threading
+import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import attrs
 import distributed
@@ -43,12 +46,22 @@ CONNECT_SECONDS = 10
 """Within which a scheduler answers."""
 LOSSES = 10
 """Workers that a job may lose before it is given up; a scheduler of one's own has a setting for it."""
-_AHEAD = 8
-"""Jobs that are sent for each thread before one has ended: enough to keep workers busy, few enough to forget."""
+_AHEAD = 2
+"""Batches that a worker has at once: one that it does, another so that it need not wait for messages."""
+_MOMENT, _MOST = 0.2, 64
+"""Seconds for which a worker goes on with a batch, and jobs in it: a message costs milliseconds, whatever it brings.
+What is not begun by then comes back, so that no job waits for one worker while another has nothing to do.
+"""
+_NEWS_SECONDS = 0.5
+"""For which a list of the workers is good."""
 _VERSION = importlib.metadata.version("distributed")
 _RETRIES = 2
 """Of a job whose worker cannot write: another may have room."""
 _SETTINGS = {"distributed.scheduler.allowed-failures": LOSSES, "distributed.scheduler.worker-ttl": "60 s"}
+
+
+Names = tuple[str, ...]
+"""Of a job's files, from a cache's folder on."""
 
 
 class ClusterError(ValueError):
@@ -187,7 +200,7 @@ def _unlike(machine: Machine) -> str:
     return machine.unlike(Machine.here())
 
 
-def _another(job: Job, names: tuple[str, ...], cache: Path) -> str:
+def _another(job: Job, names: Names, cache: Path) -> str:
     """Whether this process would give the job's files other names than the client does, or does not know it."""
     try:
         here = _names(job.here(), cache)
@@ -198,29 +211,38 @@ def _another(job: Job, names: tuple[str, ...], cache: Path) -> str:
     return "" if here == names else f"{job.what}: is another estimator there: allowed is the client's"
 
 
-def _do(make: Callable[..., Job], scene: Scene, names: tuple[str, ...], terms: Terms) -> Done:
-    """Do a job on a worker."""
-    worker = distributed.get_worker()
-    done = functools.partial(Done, platform.node(), worker.address)
+def _do(makes: Sequence[Callable[..., Job]], scene: Scene, names: Sequence[Names], terms: Terms) -> list[Done]:
+    """Do jobs on a worker one after another, those of a moment, and at least one."""
+    worker, found = distributed.get_worker(), []
     with _turn:
-        try:
-            if why := _unlike(terms.machine):
-                return done(unlike=why)
-            if terms.estimators is not None and (why := _register(*terms.estimators)):
-                return done(unlike=why)
-            shared = (Path(terms.cache) / terms.probe).is_file()
-            seat = _seat(Path(terms.cache) if shared else cache_folder(), worker.state.nthreads)
-            job = make(scene=scene)
-            if why := _another(job, names, seat.cache):
-                return done(unlike=why)
-            outcome = seat.take(job)
-            unseen = () if shared or outcome.error else tuple(path.read_bytes() for path in job.files(seat.cache))
-        except OSError as error:
-            raise OSError(f"{worker.address}: {error}") from None
-    return done(outcome.made, outcome.compile_seconds, _told(outcome.error), files=unseen)
+        until = time.monotonic() + _MOMENT
+        for make, each in zip(makes, names, strict=True):
+            try:
+                found.append(_do_one(make, scene, each, terms, worker))
+            except OSError as error:
+                raise OSError(f"{worker.address}: {error}") from None
+            if found[-1].unlike or time.monotonic() > until:
+                break
+    return found
 
 
-def _told(error: Exception | None) -> Exception | None:
+def _do_one(make: Callable[..., Job], scene: Scene, names: Names, terms: Terms, worker: distributed.Worker) -> Done:
+    done = functools.partial(Done, platform.node(), worker.address)
+    if why := _unlike(terms.machine):
+        return done(unlike=why)
+    if terms.estimators is not None and (why := _register(*terms.estimators)):
+        return done(unlike=why)
+    shared = (Path(terms.cache) / terms.probe).is_file()
+    seat = _seat(Path(terms.cache) if shared else cache_folder(), worker.state.nthreads)
+    job = make(scene=scene)
+    if why := _another(job, names, seat.cache):
+        return done(unlike=why)
+    outcome = seat.take(job)
+    unseen = () if shared or outcome.error else tuple(path.read_bytes() for path in job.files(seat.cache))
+    return done(outcome.made, outcome.compile_seconds, _sendable(outcome.error), files=unseen)
+
+
+def _sendable(error: Exception | None) -> Exception | None:
     """An error that can be sent."""
     try:
         return pickle.loads(pickle.dumps(error))
@@ -228,7 +250,7 @@ def _told(error: Exception | None) -> Exception | None:
         return RuntimeError(f"{type(error).__name__}: {error}")
 
 
-def _names(job: Job, cache: Path) -> tuple[str, ...]:
+def _names(job: Job, cache: Path) -> Names:
     return tuple(path.relative_to(cache).as_posix() for path in job.files(cache))
 
 
@@ -293,6 +315,14 @@ def _probe(cache: Path) -> Iterator[str]:
         path.unlink(missing_ok=True)
 
 
+class _Batch(NamedTuple):
+    """Jobs of one scene under way, and the worker that shall do them."""
+
+    jobs: list[Job]
+    names: list[Names]
+    worker: str
+
+
 class _Run:
     """Jobs under way."""
 
@@ -300,33 +330,30 @@ class _Run:
         self.cluster, self.cache, self.terms = cluster, cache, terms
         self.client = cluster.client
         self.scenes: dict[int, tuple[Scene, Future]] = {}
-        self.waiting: dict[Future, tuple[Job, tuple[str, ...]]] = {}
+        self.todo: deque[Job] = deque()
+        self.sent: dict[Future, _Batch] = {}
+        self.most = 1  # jobs in a batch, of what a moment has
         self.refused: set[str] = set()
+        self.workers: list[str] = []
+        self.asked = -math.inf
 
     def outcomes(self, jobs: Sequence[Job], dropped: Callable[[Job], bool]) -> Iterator[Outcome]:
         """Keep workers supplied, and forget each job as it ends."""
         ended: Any = distributed.as_completed(loop=self.client.loop)
-        coming = iter(jobs)
+        self.todo.extend(jobs)
         try:
             while True:
-                most = _AHEAD * max(2, sum(_threads(self.client).values()))
-                while len(self.waiting) < most and (job := next(coming, None)) is not None:
-                    if dropped(job):
-                        continue
-                    if job.kept(self.cache):  # costs no message
-                        yield Outcome(job)
-                    else:
-                        ended.add(self._send(job, _names(job, self.cache)))
-                if not self.waiting:
+                while self.todo and (worker := self._free()):
+                    if batch := (yield from self._next(dropped)):
+                        ended.add(self._send(batch, worker))
+                if not self.sent:
                     return
-                future = next(ended)
-                job, names = self.waiting.pop(future)
-                outcome = self._outcome(future, job, names)
-                future.release()
-                if outcome is None:
-                    ended.add(self._send(job, names))
-                else:
-                    yield outcome
+                futures = ended.next_batch()
+                whole = [future for future in futures if future.status == "finished"]
+                # One message for all of them; what went wrong is raised where it is asked for.
+                found = dict(zip(whole, cast(Any, self.client.gather(whole)), strict=True))
+                for future in futures:
+                    yield from self._told(future, found)
         except (OSError, FutureCancelledError, asyncio.CancelledError) as error:
             if self.client.status == "running" and isinstance(error, OSError):
                 raise
@@ -334,47 +361,93 @@ class _Run:
             raise ClusterError(f"{address}: the scheduler is gone; the same command goes on from the cache") from None
         finally:
             with contextlib.suppress(Exception):  # the scheduler may be gone
-                self.client.cancel(list(self.waiting), force=True)
+                self.client.cancel(list(self.sent), force=True)
 
-    def _send(self, job: Job, names: tuple[str, ...]) -> Future:
-        if id(job.scene) not in self.scenes:
-            # A task and not scattered data: where its worker is lost it is made again.
-            payload = pickle.dumps(job.scene)
-            future = self.client.submit(pickle.loads, payload, key=f"scene-{uuid.uuid4().hex}", pure=False)
-            self.scenes[id(job.scene)] = job.scene, future
-        allowed = None
-        if self.refused and not (allowed := sorted(set(_threads(self.client)) - self.refused)):
+    def _free(self) -> str | None:
+        """The worker that has least to do, if it can have more."""
+        load = Counter(batch.worker for batch in self.sent.values())
+        worker = min(self._alike(), key=load.__getitem__)
+        return worker if load[worker] < _AHEAD else None
+
+    def _alike(self) -> list[str]:
+        """Workers that are not refused."""
+        if time.monotonic() - self.asked > _NEWS_SECONDS:
+            # Where all are lost the last list stands: what is sent by it waits at the scheduler for those that come.
+            self.workers = sorted(_threads(self.client)) or self.workers
+            self.asked = time.monotonic()
+        if not (alike := [worker for worker in self.workers if worker not in self.refused]):
             raise ClusterError(f"{_address(self.client)}: no worker there is like this machine")
-        kind: Any = type(job)
-        fields = {field.name: getattr(job, field.name) for field in attrs.fields(kind) if field.name != "scene"}
+        return alike
+
+    def _next(self, dropped: Callable[[Job], bool]) -> Generator[Outcome, None, list[Job]]:
+        """Jobs of one scene for a batch; what is kept costs no message."""
+        batch: list[Job] = []
+        while self.todo and len(batch) < self.most:
+            job = self.todo.popleft()
+            if batch and job.scene is not batch[0].scene:
+                self.todo.appendleft(job)
+                break
+            if dropped(job):
+                continue
+            if job.kept(self.cache):
+                yield Outcome(job)
+            else:
+                batch.append(job)
+        return batch
+
+    def _send(self, jobs: list[Job], worker: str) -> Future:
+        scene = jobs[0].scene
+        if id(scene) not in self.scenes:
+            # A task and not scattered data: where its worker is lost it is made again.
+            payload = pickle.dumps(scene)
+            future = self.client.submit(pickle.loads, payload, key=f"scene-{uuid.uuid4().hex}", pure=False)
+            self.scenes[id(scene)] = scene, future
+        names = [_names(job, self.cache) for job in jobs]
         future = self.client.submit(
             _do,
-            functools.partial(kind, **fields),
-            self.scenes[id(job.scene)][1],
+            [_unbound(job) for job in jobs],
+            self.scenes[id(scene)][1],
             names,
             self.terms,
-            key=f"{names[-1]}-{uuid.uuid4().hex[:8]}",
+            key=f"{names[0][-1]}-{uuid.uuid4().hex[:8]}",
             pure=False,
             retries=_RETRIES,
-            workers=allowed,
+            workers=[worker],
+            allow_other_workers=True,  # where it is lost
         )
-        self.waiting[future] = job, names
+        self.sent[future] = _Batch(jobs, names, worker)
         return future
 
-    def _outcome(self, future: Future, job: Job, names: tuple[str, ...]) -> Outcome | None:
-        """What came of a job; None where its worker is refused, and another shall try."""
+    def _told(self, future: Future, found: dict[Future, list[Done]]) -> Iterator[Outcome]:
+        """What came of a batch; the jobs that were not begun, and those of a refused worker, are to be done still."""
+        batch = self.sent.pop(future)
         try:
-            done: Done = future.result()
+            done = found[future] if future in found else cast(list[Done], future.result())
         except distributed.KilledWorker as error:
-            raise ClusterError(f"{job.what}: is given up: {' '.join(str(error).split())}") from None
-        if done.unlike:
+            what = dict.fromkeys(job.what for job in (batch.jobs[0], batch.jobs[-1]))
+            raise ClusterError(f"{' to '.join(what)}: is given up: {' '.join(str(error).split())}") from None
+        future.release()
+        done = [each for each in done if not self._refused(each)]
+        self.todo.extendleft(reversed(batch.jobs[len(done) :]))
+        self.most = min(2 * len(done), _MOST) if len(done) == len(batch.jobs) else max(1, len(done))
+        for job, names, each in zip(batch.jobs, batch.names, done, strict=False):
+            for name, content in zip(names, each.files, strict=False):
+                path = self.cache / name
+                write_atomically(path, lambda temporary, content=content: temporary.write_bytes(content))
+            yield Outcome(job, each.made, each.compile_seconds, each.error, each.host)
+
+    def _refused(self, done: Done) -> bool:
+        if done.unlike and done.worker not in self.refused:
             self.refused.add(done.worker)
             self.cluster.say(f"{done.worker} is refused: {done.unlike}")
-            return None
-        for name, content in zip(names, done.files, strict=False):
-            path = self.cache / name
-            write_atomically(path, lambda temporary, content=content: temporary.write_bytes(content))
-        return Outcome(job, done.made, done.compile_seconds, done.error, done.host)
+        return bool(done.unlike)
+
+
+def _unbound(job: Job) -> Callable[..., Job]:
+    """A job without its scene, which is sent once for all."""
+    kind: Any = type(job)
+    fields = {field.name: getattr(job, field.name) for field in attrs.fields(kind) if field.name != "scene"}
+    return functools.partial(kind, **fields)
 
 
 def _threads(client: Client) -> dict[str, int]:
