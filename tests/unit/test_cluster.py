@@ -154,7 +154,7 @@ def test_killed_workers_lose_no_job_and_none_is_told_twice(two: Cluster, tmp_pat
 
 
 def test_what_a_worker_has_not_begun_is_done_by_whoever_is_free(two: Cluster, tmp_path: Path):
-    """Quick jobs come in large batches; of slow ones that follow in such a batch no worker keeps more than its share."""
+    """Quick jobs come in large batches; of slow ones that follow in such a batch no worker keeps more than a share."""
     scene = small("two_cubes", 4)
     jobs = [Note(scene, number) for number in range(100)] + [Note(scene, 100 + number, 0.3) for number in range(12)]
     assert sorted(outcome.job.number for outcome in done(two, jobs, tmp_path)) == list(range(112))
