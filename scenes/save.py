@@ -9,10 +9,10 @@ from typing import Any
 
 import attrs
 import numpy as np
-import OpenEXR
 import tomli_w
 import trimesh
 
+from termwise.scenes.images import openexr
 from termwise.scenes.load import load
 from termwise.scenes.model import Ambient, Material, Mesh, Object, Photons, Scene, Sky, Toggles
 from termwise.scenes.store import write_atomically
@@ -70,12 +70,7 @@ def _sky(sky: Sky, files: Path) -> dict[str, Any]:
     if sky.texture is None:
         return {"color": list(sky.color), **table} if table or any(sky.color) else {}
     pixels = sky.texture
-    described = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-
-    def write(temporary: Path) -> None:
-        OpenEXR.File(described, {"RGB": pixels}).write(str(temporary))
-
-    write_atomically(files / "sky.exr", write)
+    write_atomically(files / "sky.exr", lambda temporary: openexr.write(temporary, pixels))
     return {"texture": f"{files.name}/sky.exr", **table}
 
 

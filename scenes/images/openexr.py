@@ -6,6 +6,7 @@ XYZ's, with Y alone, or with Y, RY and BY. In files of several parts the part's 
 """
 
 import contextlib
+import errno
 import os
 import sys
 from collections.abc import Iterator
@@ -262,6 +263,20 @@ def _quantum(header: dict[str, Any], planes: list[np.ndarray]) -> tuple[float, t
     if halves:
         return HALF, (HALF_NOTE,)
     return (_PXR24 if compression == OpenEXR.PXR24_COMPRESSION else 0.0), ()
+
+
+def write(path: Path, pixels: np.ndarray) -> None:
+    """Write the one layer RGB, (H, W, 3) float32, ZIP.
+
+    Raises
+    ------
+    OSError : the file cannot be written, as on a full disk.
+    """
+    described = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    try:
+        OpenEXR.File(described, {"RGB": np.ascontiguousarray(pixels, np.float32)}).write(str(path))
+    except RuntimeError:  # the library's word for a full disk
+        raise OSError(errno.EIO, "could not be written: is the disk full?", str(path)) from None
 
 
 @contextlib.contextmanager

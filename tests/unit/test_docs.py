@@ -130,6 +130,14 @@ def test_the_readmes_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert (tmp_path / "out/mine/index.html").is_file()
 
 
+def test_the_neutral_file_of_the_manual(tmp_path: Path):
+    (block,) = fenced(ROOT / "docs" / "exchange.md", "python")
+    names: dict[str, Any] = {"folder": tmp_path}
+    exec(block, names)
+    assert names["path"] == tmp_path / "monkey.json"
+    assert names["path"].is_file()
+
+
 def test_the_example_is_the_one_that_is_printed():
     example = (ROOT / "examples" / "gamma_space.py").read_text("utf-8")
     example = re.sub(r'    """.*?"""\n', "", example, flags=re.DOTALL)

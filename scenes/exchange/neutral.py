@@ -1,0 +1,153 @@
+"""The neutral scene file: JSON that says all that a renderer of light transport must know, in the scene's own units.
+
+An adapter reads it with a JSON library alone. `neutral.schema.json` says each field with its unit; so do the
+`conventions` in the file itself. What it holds is full light transport, the terms of `physical` and the background;
+the paper's settings that mean nothing there are named in `left_out`.
+"""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+from termwise.scenes.images import openexr
+from termwise.scenes.model import Object, Scene, Sky
+from termwise.scenes.store import write_atomically
+
+FORMAT, VERSION = "termwise-neutral", 1
+SCHEMA = Path(__file__).with_name("neutral.schema.json")
+CONVENTIONS = {
+    "length": "the scene's own unit; axes are right-handed",
+    "color": "linear Rec. 709 (sRGB primaries, D65); radiance in one linear unit per channel",
+    "camera": "a pinhole: the film point (x, y) in [0, 1]^2, (0, 0) its top left corner, y down, is seen along "
+    "forward + (2 x - 1) t right + (1 - 2 y) t (height / width) up, with t = tan(horizontal_fov / 2)",
+    "film": "first row at the top, first column at the left; a pixel is the mean over its own area (box filter)",
+    "face": "its front is the side that (v1 - v0) x (v2 - v0) points to; surfaces are two-sided",
+    "normals": "unit shading normals at the vertices, interpolated; null: the face's own",
+    "material": "f = (1 - gloss) color / pi + gloss F D G / (4 cos_i cos_o): F = f0 + (1 - f0) (1 - cos)^5, "
+    "D Beckmann's with alpha = roughness, G = G1(i) G1(o) Smith's exact",
+    "emission": "radiance that leaves the front of the faces; the back of a lamp is black, and neither side reflects",
+    "point": "intensity is radiant intensity, radiance x area, per steradian: a surface at distance d that faces the "
+    "light has the irradiance intensity / d^2",
+    "sky": "radiance that comes from where a ray meets nothing; an image lies on a sphere, seen from within: "
+    "n from its center to the ray's farther hit, u = atan2(n.x, n.y) / (2 pi) + 1/2, v = 1/2 - n.z / 2 (equal-area) or "
+    "v = acos(n.z) / pi (lat-long), first row at v = 0; radius null: infinite, n is the ray's direction",
+}
+
+
+def diffuse(scene: Scene) -> Scene:
+    """The scene with every gloss 0: what every format and renderer can say exactly."""
+    plain = [attrs.evolve(each, material=attrs.evolve(each.material, gloss=0.0)) for each in scene.objects]
+    return attrs.evolve(scene, objects=tuple(plain))
+
+
+def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
+    """A scene as `neutral.schema.json` says it, arrays as nested lists of Python's numbers.
+
+    Parameters
+    ----------
+    scene : the scene; its objects keep their names, order, units and place.
+    sky_file : name that the sky's image is given, where it has one.
+    """
+    right, up, forward = scene.camera.frame()
+    lit = scene.toggles.lighting
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": scene.name,
+        "conventions": CONVENTIONS,
+        "left_out": left_out(scene),
+        "film": {"resolution": list(scene.resolution), "filter": "box", "first_row": "top"},
+        "camera": {
+            "position": list(scene.camera.position),
+            "right": right.tolist(),
+            "up": up.tolist(),
+            "forward": forward.tolist(),
+            "horizontal_fov": scene.camera.fov,
+        },
+        "objects": [_object(scene, thing, lit) for thing in scene.objects],
+        "lights": [
+            {"type": "point", "position": list(light.position), "intensity": list(light.intensity)}
+            for light in scene.lights
+            if lit and any(light.intensity)
+        ],
+        "sky": _sky(scene.sky, sky_file),
+    }
+
+
+def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
+    gloss = scene.specular_weight(thing.surface)
+    return {
+        "name": thing.name,
+        "vertices": thing.mesh.vertices.tolist(),
+        "faces": thing.mesh.faces.tolist(),
+        "normals": None if thing.mesh.normals is None or thing.emits else thing.mesh.normals.tolist(),
+        "material": attrs.asdict(
+            attrs.evolve(thing.surface, gloss=gloss),
+            value_serializer=lambda _owner, _field, value: list(value) if isinstance(value, tuple) else value,
+        ),
+        "emission": list(thing.emission) if lit else [0.0, 0.0, 0.0],
+    }
+
+
+def _sky(sky: Sky, file: str) -> dict[str, Any] | None:
+    if sky.is_black:
+        return None
+    if sky.texture is None:
+        return {"type": "constant", "radiance": list(sky.color)}
+    radius = sky.radius if math.isfinite(sky.radius) else None
+    return {"type": "image", "file": file, "projection": sky.projection, "center": list(sky.center), "radius": radius}
+
+
+def left_out(scene: Scene) -> list[str]:
+    """What a scene says and full light transport, as other renderers compute it, does not: field, value and why."""
+    lamps = [thing.name for thing in scene.objects if thing.emits] if scene.has_lights else []
+    found = [
+        (any(scene.ambient.color), "ambient", scene.ambient.color, "the paper's ambient light is no light transport"),
+        (bool(lamps) and not scene.draw_lights, "draw_lights", False, f"the camera sees {', '.join(lamps)} shine"),
+        (scene.scope == "first-hit", "scope", scene.scope, "light scatters at all surfaces"),
+        (scene.shadows == "paper", "shadows", scene.shadows, "visibility alone decides"),
+        (scene.irradiance == "E", "irradiance", scene.irradiance, "irradiance is divided by pi"),
+        (scene.ignore == "object", "ignore", scene.ignore, "objects shadow themselves"),
+        (scene.normals == "face", "normals", scene.normals, "surfaces are two-sided"),
+        (scene.intersection == "paper", "intersection", scene.intersection, "rays meet triangles exactly"),
+        (scene.camera.pixel != "jitter", "camera.pixel", scene.camera.pixel, "the filter is a box"),
+    ]
+    return [f"{name} = {value!r}: {why}" for there, name, value, why in found if there]
+
+
+def write_neutral(scene: Scene, path: Path) -> Path:
+    """Write the neutral file of a scene, and its sky's image beside it.
+
+    Parameters
+    ----------
+    scene : the scene.
+    path : a name that ends in .json, or a folder, where the file is NAME.json.
+
+    Returns
+    -------
+    The JSON file, which appears last and whole. The image of a sky is NAME.sky.exr beside it: OpenEXR, three channels
+    of float32, named in the file without a folder.
+    """
+    file = path if path.suffix == ".json" else path / f"{scene.name}.json"
+    sky = f"{file.stem}.sky.exr"
+    described = describe(scene, sky_file=sky)
+    texture = scene.sky.texture
+    if described["sky"] is not None and texture is not None:
+        write_atomically(file.with_name(sky), lambda temporary: openexr.write(temporary, texture))
+    write_atomically(file, lambda temporary: temporary.write_text(_text(described), "utf-8"))
+    return file
+
+
+def _text(described: dict[str, Any]) -> str:
+    """JSON with a line for each field, object and light: a file that can be looked at, and compared by lines."""
+    lines = []
+    for name, value in described.items():
+        if name in ("objects", "lights", "left_out") and value:
+            text = "[\n  " + ",\n  ".join(json.dumps(item, allow_nan=False) for item in value) + "\n ]"
+        else:
+            text = json.dumps(value, allow_nan=False)
+        lines.append(f" {json.dumps(name)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
