@@ -1,4 +1,4 @@
-"""termwise: compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, view, bench and stress.
+"""termwise compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, export, view, bench, stress.
 
 Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`; of `diff`, something became
 worse; of `stress`, a row failed); 2: bad input, or a run, or one of its scenes, that could not end. With --json one
@@ -11,7 +11,7 @@ import sys
 import cyclopts
 
 from termwise import lacking
-from termwise.reports.cli import judging, measuring, places, rendering, runs, terminal
+from termwise.reports.cli import exchange, judging, measuring, places, rendering, runs, terminal
 
 
 def _line(error: cyclopts.CycloptsError) -> str:
@@ -46,6 +46,7 @@ for command in (
     rendering.reference,
     rendering.plan,
     rendering.scenes,
+    exchange.export,
     rendering.view,
     measuring.stress,
 ):

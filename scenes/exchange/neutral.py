@@ -17,6 +17,7 @@ from termwise.scenes.model import Object, Scene, Sky
 from termwise.scenes.store import write_atomically
 
 FORMAT, VERSION = "termwise-neutral", 1
+SUFFIX = ".json"
 SCHEMA = Path(__file__).with_name("neutral.schema.json")
 CONVENTIONS = {
     "length": "the scene's own unit; axes are right-handed",
@@ -118,6 +119,12 @@ def left_out(scene: Scene) -> list[str]:
     return [f"{name} = {value!r}: {why}" for there, name, value, why in found if there]
 
 
+def write(scene: Scene, path: Path) -> list[str]:
+    """Write the neutral file of a scene; return what it does not say, as its `left_out`."""
+    write_neutral(scene, path)
+    return left_out(scene)
+
+
 def write_neutral(scene: Scene, path: Path) -> Path:
     """Write the neutral file of a scene, and its sky's image beside it.
 
@@ -131,7 +138,7 @@ def write_neutral(scene: Scene, path: Path) -> Path:
     The JSON file, which appears last and whole. The image of a sky is NAME.sky.exr beside it: OpenEXR, three channels
     of float32, named in the file without a folder.
     """
-    file = path if path.suffix == ".json" else path / f"{scene.name}.json"
+    file = path if path.suffix == SUFFIX else path / f"{scene.name}{SUFFIX}"
     sky = f"{file.stem}.sky.exr"
     described = describe(scene, sky_file=sky)
     texture = scene.sky.texture

@@ -1,0 +1,123 @@
+"""pbrt-v4's text: directives, and parameters as `"type name" [ values ]`.
+
+pbrt's camera looks along +z of a left-handed frame, hence the `Scale -1 1 1`; its `fov` is across the shorter side. Its
+default sensor reads `rgb L` of a light as the same radiance. Nothing here was rendered by pbrt: its syntax is tested,
+by the grammar of its parser.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from termwise.scenes.exchange import panorama
+from termwise.scenes.exchange.neutral import describe
+from termwise.scenes.images import openexr
+from termwise.scenes.model import Scene
+from termwise.scenes.store import write_atomically
+
+SUFFIX = ".pbrt"
+DEPTH = 1000
+"""Bounces after which a path of pbrt's ends; its default is 5."""
+
+
+def write(scene: Scene, path: Path) -> list[str]:
+    """Write a scene for pbrt-v4, a sky's image as NAME.sky.exr beside it; return what it does not say."""
+    described = describe(scene, sky_file=f"{path.stem}.sky.exr")
+    missing = described["left_out"] + left_out(described)
+    lines = [f"# {described['name']}, for pbrt-v4; written by Termwise, which has not run pbrt. Not in this file:"]
+    lines += [f"#   {' '.join(line.split())}" for line in missing]
+    lines += _head(described, path)
+    for light in described["lights"]:
+        place = _values(light["position"])
+        lines.append(f'LightSource "point" "rgb I" [ {_values(light["intensity"])} ] "point3 from" [ {place} ]')
+    sky = described["sky"]
+    if sky is not None and sky["type"] == "constant":
+        lines.append(f'LightSource "infinite" "rgb L" [ {_values(sky["radiance"])} ]')
+    elif sky is not None:
+        texels = panorama.equal_area_square(scene.sky, scene.camera.position)
+        write_atomically(path.with_name(sky["file"]), lambda temporary: openexr.write(temporary, texels))
+        lines.append(f'LightSource "infinite" "string filename" [ {_quoted(sky["file"])} ]')
+    for thing in described["objects"]:
+        lines += _object(thing)
+    write_atomically(path, lambda temporary: temporary.write_text("\n".join(lines) + "\n", "utf-8"))
+    return missing
+
+
+def left_out(described: dict[str, Any]) -> list[str]:
+    """What pbrt cannot say of a scene described."""
+    found = [
+        f"objects: {thing['name']!r}: gloss = {thing['material']['gloss']!r}: the lobe is GGX's of the same alpha with "
+        "a conductor's Fresnel of the same f0, not Beckmann's with Schlick's"
+        for thing in described["objects"]
+        if thing["material"]["gloss"] > 0.0
+    ]
+    materials = [thing["material"] for thing in described["objects"]]
+    if any(len(set(material["color"])) > 1 for material in materials):
+        found.append(
+            "objects: color: pbrt makes smooth spectra of them, whose product is not the product of the colours"
+        )
+    if described["sky"] is not None and described["sky"]["type"] == "image":
+        found.append("sky: resampled as the camera sees it, and infinitely far: texels of pbrt's are not interpolated")
+    return found
+
+
+def _head(described: dict[str, Any], path: Path) -> list[str]:
+    """All that stands before the world."""
+    camera, (width, height) = described["camera"], described["film"]["resolution"]
+    target = [p + f for p, f in zip(camera["position"], camera["forward"], strict=True)]
+    across = math.tan(math.radians(camera["horizontal_fov"]) / 2.0)
+    fov = 2.0 * math.degrees(math.atan(across * min(1.0, height / width)))
+    return [
+        "",
+        "Scale -1 1 1",
+        f"LookAt {_values(camera['position'])}",
+        f"       {_values(target)}",
+        f"       {_values(camera['up'])}",
+        f'Camera "perspective" "float fov" [ {fov!r} ]',
+        f'Film "rgb" "integer xresolution" [ {width} ] "integer yresolution" [ {height} ] '
+        f'"string filename" [ {_quoted(path.stem + ".exr")} ] "bool savefp16" [ false ]',
+        'PixelFilter "box" "float xradius" [ 0.5 ] "float yradius" [ 0.5 ]',
+        'Sampler "independent" "integer pixelsamples" [ 64 ]',
+        f'Integrator "path" "integer maxdepth" [ {DEPTH} ]',
+        "",
+        "WorldBegin",
+        "",
+    ]
+
+
+def _object(thing: dict[str, Any]) -> list[str]:
+    lines = ["", f"# {' '.join(thing['name'].split())}", "AttributeBegin", *_material(thing)]
+    if any(thing["emission"]):
+        lines.append(f'  AreaLightSource "diffuse" "rgb L" [ {_values(thing["emission"])} ]')
+    lines += ['  Shape "trianglemesh"', '    "point3 P" [', *_rows(thing["vertices"]), "    ]"]
+    if thing["normals"] is not None:
+        lines += ['    "normal N" [', *_rows(thing["normals"]), "    ]"]
+    return [*lines, '    "integer indices" [', *_rows(thing["faces"]), "    ]", "AttributeEnd"]
+
+
+def _material(thing: dict[str, Any]) -> list[str]:
+    material = thing["material"]
+    diffuse = f'"rgb reflectance" [ {_values(material["color"])} ]'
+    if material["gloss"] == 0.0:
+        return [f'  Material "diffuse" {diffuse}']
+    lobe = f'"rgb reflectance" [ {_values(material["f0"])} ] "float roughness" [ {material["roughness"]!r} ]'
+    names = [_quoted(f"{thing['name']}: {part}") for part in ("diffuse", "lobe")]
+    return [
+        f'  MakeNamedMaterial {names[0]} "string type" [ "diffuse" ] {diffuse}',
+        f'  MakeNamedMaterial {names[1]} "string type" [ "conductor" ] {lobe} "bool remaproughness" [ false ]',
+        f'  Material "mix" "string materials" [ {" ".join(names)} ] "float amount" [ {material["gloss"]!r} ]',
+    ]
+
+
+def _quoted(text: str) -> str:
+    r"""A string of pbrt's, whose tokens may have \" and \\ in them."""
+    plain = " ".join(text.split())
+    return '"' + plain.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _values(values: list[float]) -> str:
+    return " ".join(repr(value) for value in values)
+
+
+def _rows(values: list[list[float]]) -> list[str]:
+    return [f"      {_values(row)}" for row in values]
