@@ -1,4 +1,4 @@
-"""termwise compare, diff, figure, judge, inspect, replay, render, reference, plan, scenes, export, view, bench, stress.
+"""The commands, from compare, judge and furnace to bench and stress.
 
 Exit status 0: ran; 1: an error was proven (BIASED or NOT AS PREDICTED against `own`; of `diff`, something became
 worse; of `stress`, a row failed); 2: bad input, or a run, or one of its scenes, that could not end. With --json one
@@ -11,7 +11,7 @@ import sys
 import cyclopts
 
 from termwise import lacking
-from termwise.reports.cli import exchange, judging, measuring, places, rendering, runs, terminal
+from termwise.reports.cli import engines, exchange, judging, measuring, places, rendering, runs, terminal
 
 
 def _line(error: cyclopts.CycloptsError) -> str:
@@ -40,6 +40,7 @@ for command in (
     runs.diff,
     runs.figure,
     judging.judge,
+    engines.furnace,
     places.inspect,
     places.replay,
     rendering.render,

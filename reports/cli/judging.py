@@ -5,10 +5,12 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
+import attrs
 from cyclopts import Parameter
 
 from termwise.reports.cli import terminal
-from termwise.reports.cli.terminal import Flag, Json, MaybeInteger
+from termwise.reports.cli.engines import OneEngine, Probed, Samples
+from termwise.reports.cli.terminal import Flag, Integer, Json, MaybeInteger, Resolution
 from termwise.reports.judging.gates import Require
 from termwise.reports.statistics.verdict import LEVEL, MARGIN
 
@@ -17,6 +19,15 @@ def judge(
     *images: Path,
     reference: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative="")] = None,
     suite: Path | None = None,
+    scene: str | None = None,
+    engine: OneEngine = None,
+    diffuse: Flag = False,
+    resolution: Resolution = None,
+    replicates: Integer = 16,
+    seed: Integer = 1,
+    spp: Samples = None,
+    reference_spp: Integer = 64,
+    probe: Probed = True,
     require: Require = "unbiased",
     margin: float = MARGIN,
     level: float = LEVEL,
@@ -37,8 +48,9 @@ def judge(
 ) -> int:
     """Judge any renderer's replicate images against replicates of a reference, and write a page about it.
 
-    Without --reference, two or more sets of replicates are judged each against each. Exit status: 0 passed; 1 a bias
-    is proven; 2 bad input; 3 with --require equivalent, none is proven and equivalence is not shown either.
+    Without --reference, two or more sets of replicates are judged each against each; with --scene Mitsuba renders the
+    reference, and with --engine a renderer the images. Exit status: 0 passed; 1 a bias is proven; 2 bad input; 3 with
+    --require equivalent, none is proven and equivalence is not shown either.
 
     Parameters
     ----------
@@ -49,6 +61,19 @@ def judge(
         Replicates of the reference, files or folders; with --suite the folder of the cases' folders.
     suite
         A folder that holds a folder of replicates for each case, as REFERENCE does: one level over all of them.
+    scene
+        A scene of the library or a scene file, all light of which the images show: its reference is rendered, at the
+        images' size, and its objects are known by name.
+    diffuse
+        Of the scene: every gloss is 0.
+    resolution
+        Of what an engine renders, instead of the scene's.
+    replicates
+        Of the scene's reference, and of an engine.
+    seed
+        Of the same.
+    reference_spp
+        Samples per pixel of the scene's reference.
     require
         What passes: unbiased (no bias is proven) or equivalent (within the margin; too much noise fails).
     margin
@@ -99,8 +124,29 @@ def judge(
         "reference_layer": reference_layer,
         "hint": hints,
     }
-    many = suite is not None or reference is None
-    if suite is not None:
+    if scene is not None and (suite is not None or reference is not None or objects is not None):
+        raise ValueError("scene: allowed without --reference, --suite and --objects, whose places it takes")
+    if engine is not None and (scene is None or images):
+        raise ValueError("engine: allowed is --engine with --scene, and no images")
+    many = scene is None and (suite is not None or reference is None)
+    if scene is not None:
+        places = {} if mask is None else {"mask": mask}
+        cases = [
+            _of_scene(
+                scene,
+                images,
+                engine,
+                diffuse=diffuse,
+                resolution=resolution,
+                replicates=replicates,
+                seed=seed,
+                spp=spp,
+                reference_spp=reference_spp,
+                probe=probe,
+                places=places,
+            )
+        ]
+    elif suite is not None:
         if images or reference is None or len(reference) != 1:
             raise ValueError("suite: allowed is --suite FOLDER --reference FOLDER, and no other images")
         cases = suites.of_folders(suite, reference[0], objects=objects, mask=mask)
@@ -122,9 +168,10 @@ def judge(
         from termwise.reports.judging.judge import judge as judged
 
         (case,) = cases
-        judgement = judged(case.images, case.reference, **options, **case.options)
+        judgement = judged(case.images, case.reference, **(options | case.options))
+        judgement = attrs.evolve(judgement, settings=judgement.settings | case.settings)
         page = judgement.save(folder, exposure=exposure, command=terminal.command())
-        outcomes = [suites.Outcome(" ".join(map(str, images)), judgement, page)]
+        outcomes = [suites.Outcome(" ".join(map(str, images)) or case.name, judgement, page)]
     if junit is not None:
         gates.junit(junit, outcomes, require, seconds=time.perf_counter() - start)
     if markdown is not None:
@@ -144,11 +191,55 @@ def judge(
             print(json.dumps(outcomes[0].judgement.row() | found))
         return status
     if many:
-        _say_all(outcomes)
+        say_all(outcomes)
     else:
         _say(outcomes[0].judgement)
     terminal.say(f"\nReport: {index.resolve()}")
     return status
+
+
+def _of_scene(
+    scene: str,
+    images: tuple[Path, ...],
+    engine: str | None,
+    *,
+    diffuse: bool,
+    resolution: tuple[int, int] | None,
+    replicates: int,
+    seed: int,
+    spp: int | None,
+    reference_spp: int,
+    probe: bool,
+    places: dict[str, Any],
+) -> Any:
+    """A case against the reference of a scene, which is rendered, as are the images by an engine."""
+    from termwise.reports.engines.engine import load
+    from termwise.reports.judging import engines
+    from termwise.reports.judging.suite import Case
+    from termwise.scenes.exchange import neutral
+    from termwise.scenes.images import replicates as read
+
+    if engine is None and not images:
+        raise ValueError("images: none given: allowed are images of the scene, or --engine")
+    if engine is None and resolution is not None:
+        raise ValueError("resolution: allowed with --engine alone: that of images is their own")
+    described = terminal.scene(scene, resolution)
+    described = neutral.diffuse(described) if diffuse else described
+    terminal.check_seed(seed)
+    terminal.choose_backend(None)
+    settings: dict[str, Any] = {"scene": described.name}
+    if engine is not None:
+        how = engines.Asking(replicates=engines.enough(replicates), seed=seed, spp=spp, probed=probe)
+        subject = load(engine)
+        _progress(f"{subject.name} renders {described.name}")
+        case = engines.case(subject, described, how)
+    else:
+        there = read(list(images))
+        described = attrs.evolve(described, resolution=there.pixels.shape[2:0:-1])
+        case = Case(described.name, list(images), None)
+    _progress(f"Mitsuba renders {described.name}")
+    truth, found = engines.against(described, spp=reference_spp, seed=seed, replicates=replicates)
+    return attrs.evolve(case, reference=truth, options=case.options | found | places, settings=settings | case.settings)
 
 
 def _progress(text: str) -> None:
@@ -167,9 +258,9 @@ def _say(judgement: Any) -> None:
         terminal.say(_of_tiles(size))
 
 
-def _say_all(outcomes: list[Any]) -> None:
+def say_all(outcomes: list[Any]) -> None:
     """A line for each comparison."""
-    widest = max(len(each.name) for each in outcomes)
+    widest = max((len(each.name) for each in outcomes), default=0)
     for each in outcomes:
         judgement = each.judgement
         name = each.name.ljust(widest).replace("[", r"\[")

@@ -8,7 +8,7 @@ import itertools
 import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import attrs
 
@@ -25,12 +25,23 @@ class Case:
     name : str
     images, reference : see `termwise.judge`.
     options : of `measure`, for this case: `objects`, `mask`.
+    settings : of who rendered them, to stand on its page.
     """
 
     name: str
     images: Images
     reference: Images
     options: dict[str, Any] = attrs.field(factory=dict)
+    settings: dict[str, Any] = attrs.field(factory=dict)
+
+
+@attrs.frozen
+class Unjudged:
+    """A case without images, and why: ABSENT, where there is nothing to render, or FAILED."""
+
+    name: str
+    word: Literal["ABSENT", "FAILED"]
+    reason: str
 
 
 @attrs.frozen(eq=False)
@@ -111,6 +122,7 @@ def judge_all(
     exposure: float | None = None,
     command: str = "",
     say: Callable[[str], object] = lambda text: None,
+    unjudged: Sequence[Unjudged] = (),
     **options: Any,
 ) -> list[Outcome]:
     """Judge cases under one level, and write a page for each and an index.
@@ -122,6 +134,7 @@ def judge_all(
     margin, level, options : as for `termwise.judge`; the level is that of all cases together.
     exposure, command : as for `Judgement.save`.
     say : told what is done, a line a case.
+    unjudged : others, that stand in the index alone.
 
     Raises
     ------
@@ -139,9 +152,10 @@ def judge_all(
             measured = measure(case.images, case.reference, margin=margin, level=level, **options, **case.options)
         except ValueError as error:
             raise ValueError(f"case {case.name}: {error}") from None
+        measured = attrs.evolve(measured, settings=measured.settings | case.settings)
         keep(folder / place, measured, exposure=exposure, command=command)
         found.append((case.name, place, measured.without_images()))
-    return decide_all(found, folder, margin=margin, level=level, command=command)
+    return decide_all(found, folder, margin=margin, level=level, command=command, unjudged=unjudged)
 
 
 def decide_all(
@@ -152,11 +166,12 @@ def decide_all(
     level: float = LEVEL,
     margins: Sequence[float] = (),
     command: str = "",
+    unjudged: Sequence[Unjudged] = (),
 ) -> list[Outcome]:
     """Decide what was measured and kept, all under one level, and write the pages and the index.
 
     `measured` are a name, the folder in `folder` that holds its images, and what was found; `margins` are those of
-    each, where they differ.
+    each, where they differ; `unjudged` are others, that stand in the index alone.
     """
     from termwise.reports.judging.folder import publish
     from termwise.reports.machine import versions
@@ -176,6 +191,7 @@ def decide_all(
             "versions": versions(),
             "settings": {"command": command, "level": level, "tests": tests, "cases": len(outcomes)},
             "cases": rows(outcomes, folder),
+            "unjudged": [attrs.asdict(each) for each in unjudged],
         }
     )
     text = json.dumps(results, indent=1, allow_nan=False)

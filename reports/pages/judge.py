@@ -103,6 +103,7 @@ def write_index(folder: Path, results: dict[str, Any]) -> Path:
         index,
         root="",
         cases=results["cases"],
+        unjudged=results.get("unjudged", []),
         settings=results["settings"],
         versions=results["versions"],
         words=WORDS,

@@ -1,0 +1,188 @@
+"""What an engine is asked: a scene in the neutral words, and how often its light may scatter.
+
+A term is a scene of its own, so that an engine needs no outputs of terms. With `I(scene, depth)` the engine's image:
+
+    total            I(scene)                                       all light, lamps and sky where the camera sees them
+    ambient          I(sky = L_a0, diffuse parts alone, depth 1) - I(the same, black surfaces)
+    direct           I(lights, diffuse parts alone, depth 1, or all) - I(the same, black surfaces)
+
+What is subtracted is what the camera sees shine.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from termwise.reports.engines.engine import Engine
+from termwise.scenes import limits
+from termwise.scenes.exchange import neutral
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import BLACK, BLACK_SURFACE, Ambient, Object, Scene, Scope, Sky
+from termwise.scenes.terms import TABLE
+
+TOTAL = "total"
+_UNREAD = ("name", "conventions", "left_out")
+
+
+@attrs.frozen(eq=False)
+class Asked:
+    """A scene as an engine is given it.
+
+    Attributes
+    ----------
+    name : as messages call it.
+    described : as `scenes.exchange.neutral` has it.
+    depth : how often light may scatter at surfaces: 0 is what the camera sees shine, 1 direct light; None: any number.
+    scene : the same in our model; None where that has no word for it.
+    noisy : whether images of other seeds must be others.
+    """
+
+    name: str
+    described: dict[str, Any]
+    depth: int | None = None
+    scene: Scene | None = None
+    noisy: bool = True
+
+    @classmethod
+    def of(cls, name: str, scene: Scene, depth: int | None = None, *, noisy: bool = True) -> "Asked":
+        """A scene of our model."""
+        return cls(name, neutral.describe(scene), depth, scene, noisy)
+
+    @property
+    def resolution(self) -> tuple[int, int]:
+        """Width and height."""
+        width, height = self.described["film"]["resolution"]
+        return width, height
+
+    @property
+    def digest(self) -> str:
+        """sha256 of all that decides the image; names do not."""
+        told = {name: value for name, value in self.described.items() if name not in _UNREAD}
+        told["objects"] = [{**thing, "name": ""} for thing in told["objects"]]
+        state = hashlib.sha256(json.dumps((told, self.depth)).encode())
+        if self.scene is not None:
+            state.update(self.scene.digest().encode())  # what the model says beside it, and the sky's image
+        return state.hexdigest()
+
+
+FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
+    "diffuse": lambda d: any(any(o["material"]["color"]) and o["material"]["gloss"] < 1 for o in d["objects"]),
+    "glossy": lambda d: any(o["material"]["gloss"] > 0 for o in d["objects"]),
+    "smooth": lambda d: any(o["normals"] is not None for o in d["objects"]),
+    "area": lambda d: any(any(o["emission"]) for o in d["objects"]),
+    "reflecting-lamp": lambda d: any(
+        any(o["emission"]) and (any(o["material"]["color"]) or o["material"]["gloss"] > 0) for o in d["objects"]
+    ),
+    "point": lambda d: any(light["type"] == "point" for light in d["lights"]),
+    "constant-sky": lambda d: d["sky"] is not None and d["sky"]["type"] == "constant",
+    "image-sky": lambda d: d["sky"] is not None and d["sky"]["type"] == "image",
+}
+"""What a scene may need of an engine, and whether a description needs it."""
+
+
+def lacking(engine: Engine, asked: Asked) -> str | None:
+    """What a scene needs that the engine has not, in a few words; None where it has all."""
+    says = engine.says
+    needed = [name for name, needs in FEATURES.items() if needs(asked.described) and name not in says.supports]
+    if needed:
+        return f"the scene needs {', '.join(needed)}, which its file does not name in `supports`"
+    if asked.depth is not None and says.scene == "neutral" and not says.names("depth"):
+        return "its command has no {depth}"
+    if asked.scene is None and says.scene == "termwise":
+        return "our scene files cannot say lamps that reflect"
+    return None
+
+
+@attrs.frozen(eq=False)
+class Row:
+    """An image that is judged: `sum of sign * I(asked)`, and what it is judged against.
+
+    Attributes
+    ----------
+    name : `total`, `ambient`, `direct, first hit`, `direct, all bounces`.
+    parts : what the engine is asked, with signs.
+    limits : what the references of which the sum is meant are; each with the scene that it is rendered of.
+    absent : why there is nothing to judge, whatever the engine; None where there is.
+    """
+
+    name: str
+    parts: tuple[tuple[int, Asked], ...]
+    limits: tuple[tuple[Scene, Limit], ...]
+    absent: str | None = None
+
+
+def rows(scene: Scene) -> list[Row]:
+    """What is judged of an engine on a scene: all light, and the terms that are light transport of a scene."""
+    return [total(scene), _ambient(scene), _direct(scene, "first-hit"), _direct(scene, "all")]
+
+
+def total(scene: Scene) -> Row:
+    """All light, against `physical`; lamps shine where the camera sees them, as in other renderers."""
+    lit = attrs.evolve(scene, draw_lights=True, ambient=Ambient())
+    physical = [(scene, limits.physical(term)) for term in TABLE if term != "background"]
+    dark = scene.sky.is_black and not scene.has_lights
+    return Row(
+        TOTAL,
+        ((1, Asked.of(f"{scene.name}: {TOTAL}", lit)),),
+        (*physical, (lit, limits.correct("background", scene.scope))),
+        _odd(scene) or ("the scene has no light" if dark else None),
+    )
+
+
+def _ambient(scene: Scene) -> Row:
+    things = [attrs.evolve(each, material=each.surface, emission=BLACK) for each in scene.objects]
+    under = attrs.evolve(_diffuse(scene, things), lights=(), sky=Sky(scene.ambient.color))
+    absent = TABLE["ambient"].absent(scene) or _odd(scene)
+    if absent is None and not math.isinf(scene.occlusion_range):
+        absent = f"its range, {scene.occlusion_range:g}, is none of light: only an infinite one is"
+    return _term(scene, "ambient", under, 1, limits.correct("ambient", scene.scope), absent, seen=True)
+
+
+def _direct(scene: Scene, scope: Scope) -> Row:
+    name = {"first-hit": "direct, first hit", "all": "direct, all bounces"}[scope]
+    lit = attrs.evolve(_diffuse(scene, scene.objects), sky=Sky(), ambient=Ambient(), draw_lights=True)
+    depth = 1 if scope == "first-hit" else None
+    absent = TABLE["direct"].absent(scene) or _odd(scene)
+    lamps = any(thing.emits for thing in scene.objects)
+    return _term(scene, name, lit, depth, limits.correct("direct", scope), absent, seen=lamps)
+
+
+def _term(
+    scene: Scene, name: str, lit: Scene, depth: int | None, limit: Limit, absent: str | None, *, seen: bool
+) -> Row:
+    """A term: its scene, less what is `seen` to shine in it."""
+    title = f"{scene.name}: {name}"
+    parts = [(1, Asked.of(title, lit, depth))]
+    if seen:
+        black = tuple(attrs.evolve(each, material=BLACK_SURFACE) for each in lit.objects)
+        shines = Asked.of(f"{title}, what shines", attrs.evolve(lit, objects=black), depth, noisy=False)
+        parts.append((-1, shines))
+    return Row(name, tuple(parts), ((scene, limit),), absent)
+
+
+def _diffuse(scene: Scene, things: Sequence[Object]) -> Scene:
+    """The objects with their diffuse parts alone, at their weights."""
+    plain = [
+        attrs.evolve(each, material=attrs.evolve(each.material, color=scene.diffuse_weight(each.material), gloss=0.0))
+        for each in things
+    ]
+    return attrs.evolve(scene, objects=tuple(plain))
+
+
+def _odd(scene: Scene) -> str | None:
+    """What a scene chooses that other renderers have no word for."""
+    choices = (("irradiance", "E / pi"), ("ignore", "face"), ("normals", "viewer"), ("shadows", "physical"))
+    for name, usual in choices:
+        if (value := getattr(scene, name)) != usual:
+            return f"it has {name} = {value!r}, which is no light transport"
+    return None if scene.camera.pixel == "jitter" else f"it has camera.pixel = {scene.camera.pixel!r}, no box filter"
+
+
+def combined(row: Row, images: list[np.ndarray]) -> np.ndarray:
+    """The image of a row (K, H, W, 3) from those of its parts."""
+    return np.sum([sign * stack for (sign, _), stack in zip(row.parts, images, strict=True)], axis=0)

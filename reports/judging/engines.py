@@ -1,0 +1,272 @@
+"""Engines judged: in furnaces against exact numbers, on scenes against Mitsuba, each image a case of one family.
+
+What an engine cannot say is ABSENT, what it fails at FAILED, each with its reason; the other cases stand.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from termwise.reports.engines import asked as asking
+from termwise.reports.engines.asked import TOTAL, Asked, Row, lacking
+from termwise.reports.engines.engine import Engine, EngineError
+from termwise.reports.engines.furnaces import furnaces
+from termwise.reports.engines.probe import probe
+from termwise.reports.engines.replicates import Images, rendered
+from termwise.reports.judging.suite import Case, Outcome, Unjudged, judge_all
+from termwise.reports.progress import Report, silent
+from termwise.scenes.arguments import whole
+from termwise.scenes.limits import Limit
+from termwise.scenes.model import Scene
+from termwise.scenes.store import cache_folder
+from termwise.scenes.terms import total
+
+_LEAST = 4
+"""Replicates that a comparison needs: an image without noise stands for so many."""
+
+
+@attrs.frozen(eq=False)
+class Asking:
+    """How images are rendered.
+
+    Attributes
+    ----------
+    replicates, seed : of both sides; of an engine without noise one image is.
+    spp : samples per pixel of an engine; None: those that its file says.
+    threads : None: one a core.
+    probed : whether an engine is probed before it is believed.
+    """
+
+    replicates: int = 16
+    seed: int = 1
+    spp: int | None = None
+    threads: int | None = None
+    probed: bool = True
+
+    def samples(self, engine: Engine) -> int:
+        """Samples per pixel of an engine."""
+        return self.spp or engine.says.spp
+
+
+@attrs.frozen(eq=False)
+class Judged:
+    """What was judged, what was not, and what must be said of the engines."""
+
+    outcomes: list[Outcome]
+    unjudged: list[Unjudged]
+    notes: list[str]
+
+    @property
+    def failed(self) -> bool:
+        """Whether an engine failed at what it says it can do."""
+        return any(each.word == "FAILED" for each in self.unjudged)
+
+
+def furnace(
+    engines: Sequence[Engine], folder: Path, how: Asking, *, command: str = "", report: Report = silent
+) -> Judged:
+    """Render the furnaces and judge them against their radiance; pages go to `folder`."""
+    scenes = furnaces()
+    family = _Family(how, report, len(engines) * len(scenes) * how.replicates)
+    for engine in family.believed(engines):
+        for each in scenes:
+            name = each.name if len(engines) == 1 else f"{engine.name}: {each.name}"
+            images = family.images(engine, name, [each.asked])
+            if images is not None:
+                settings = {"radiance": each.formula}
+                family.add(engine, name, images, each.exact[None], {"noiseless": True}, settings)
+    return family.judge(folder, command, exact=True)
+
+
+def compare(
+    engines: Sequence[Engine],
+    scenes: Sequence[Scene],
+    folder: Path,
+    how: Asking,
+    *,
+    reference_spp: int,
+    reference_replicates: int,
+    command: str = "",
+    report: Report = silent,
+) -> Judged:
+    """Render scenes by engines and by Mitsuba, and judge all light and the terms; pages go to `folder`."""
+    family = _Family(how, report, len(engines) * len(scenes) * how.replicates * 5)
+    believed = list(family.believed(engines))
+    spp = max([reference_spp, *(how.samples(engine) for engine in engines)])
+    for scene in scenes:
+        for row in asking.rows(scene):
+            truth: np.ndarray | None = None
+            for engine in believed:
+                name = f"{scene.name}: {row.name}: {engine.name}"
+                if row.absent is not None:
+                    family.unjudged.append(Unjudged(name, "ABSENT", row.absent))
+                    continue
+                images = family.images(engine, name, [part for _, part in row.parts])
+                if images is None:
+                    continue
+                if truth is None:
+                    truth = _truth(row.limits, spp=spp, seed=how.seed, count=reference_replicates)
+                # What shines was subtracted: noise leaves less than nothing.
+                options = _objects(scene) | {"allow_negative": len(row.parts) > 1}
+                family.add(engine, name, images, truth, options, {"judged against": _against(row)}, row)
+    return family.judge(folder, command)
+
+
+def against(scene: Scene, *, spp: int, seed: int, replicates: int) -> tuple[np.ndarray, dict[str, Any]]:
+    """Mitsuba's replicates of all light of a scene (R, H, W, 3), lamps in view too; and its objects for `judge`."""
+    row = asking.total(scene)
+    if row.absent is not None:
+        raise ValueError(f"{scene.name}: {row.absent}: allowed is a scene that is light transport")
+    return _truth(row.limits, spp=spp, seed=seed, count=replicates), _objects(scene)
+
+
+def case(engine: Engine, scene: Scene, how: Asking, *, progress: Callable[[], object] | None = None) -> Case:
+    """All light of a scene by an engine, without a reference yet.
+
+    Raises
+    ------
+    EngineError : the engine failed, or lacks what the scene needs.
+    """
+    if how.probed:
+        probe(engine, threads=_threads(how))
+    (_, part), *_ = asking.total(scene).parts
+    images = [_rendered(engine, part, how, progress)]
+    return _case(engine, scene.name, how, images, [1], {}, {})
+
+
+def enough(replicates: int) -> int:
+    """So many replicates, if they can be judged."""
+    return whole("replicates", replicates, _LEAST)
+
+
+def _rendered(engine: Engine, part: Asked, how: Asking, progress: Callable[[], object] | None = None) -> Images:
+    if (lacks := lacking(engine, part)) is not None:
+        raise EngineError(f"{engine.name}: {part.name}: {lacks}")
+    return rendered(
+        engine,
+        part,
+        spp=how.samples(engine),
+        seed=how.seed,
+        count=how.replicates,
+        threads=how.threads,
+        progress=progress,
+    )
+
+
+class _Family:
+    """Cases as they come in."""
+
+    def __init__(self, how: Asking, report: Report, steps: int) -> None:
+        self.how, self.report = how, report
+        self.cases: list[Case] = []
+        self.unjudged: list[Unjudged] = []
+        self.notes: list[str] = []
+        self._done, self._steps = 0, steps
+
+    def believed(self, engines: Sequence[Engine]) -> Iterator[Engine]:
+        """The engines that are here and read the probe's scene rightly."""
+        for engine in engines:
+            try:
+                self.report(f"{engine.name}: probe", self._done, self._steps)
+                if self.how.probed:
+                    self.notes += [f"{engine.name}: {note}" for note in probe(engine, threads=_threads(self.how))]
+                _ = engine.digest
+            except EngineError as error:
+                self.unjudged.append(Unjudged(engine.name, "FAILED", str(error)))
+                continue
+            yield engine
+
+    def images(self, engine: Engine, name: str, parts: list[Asked]) -> list[Images] | None:
+        """The images of the parts of a row; None where there are none, which is then said."""
+        for part in parts:
+            if (lacks := lacking(engine, part)) is not None:
+                self.unjudged.append(Unjudged(name, "ABSENT", lacks))
+                return None
+
+        def progress() -> None:
+            self._done += 1
+            self.report(name, self._done, max(self._steps, self._done))
+
+        try:
+            return [_rendered(engine, part, self.how, progress) for part in parts]
+        except EngineError as error:
+            self.unjudged.append(Unjudged(name, "FAILED", str(error)))
+            return None
+
+    def add(
+        self,
+        engine: Engine,
+        name: str,
+        images: list[Images],
+        truth: np.ndarray,
+        options: dict[str, Any],
+        settings: dict[str, Any],
+        row: Row | None = None,
+    ) -> None:
+        """A case."""
+        signs = [1] if row is None else [sign for sign, _ in row.parts]
+        found = _case(engine, name, self.how, images, signs, options, settings)
+        self.cases.append(attrs.evolve(found, reference=truth))
+
+    def judge(self, folder: Path, command: str, **options: Any) -> Judged:
+        """Decide all cases under one level and write the pages."""
+        outcomes = judge_all(self.cases, folder, command=command, unjudged=self.unjudged, **options)
+        return Judged(outcomes, self.unjudged, self.notes)
+
+
+def _case(
+    engine: Engine,
+    name: str,
+    how: Asking,
+    images: Sequence[Images],
+    signs: Sequence[int],
+    options: dict[str, Any],
+    settings: dict[str, Any],
+) -> Case:
+    """A case of an engine's images, whose reference is still to come."""
+    ours = np.sum([sign * each.stack for sign, each in zip(signs, images, strict=True)], axis=0)
+    if len(ours) < _LEAST:
+        ours = np.repeat(ours, _LEAST, axis=0)
+        options = options | {"noiseless": True}
+    told: dict[str, Any] = {
+        "engine": engine.name,
+        "version": engine.version,
+        "samples a pixel": how.samples(engine),
+        "seconds": round(sum(float(each.seconds.sum()) for each in images), 2),
+        "command": " ".join(engine.says.command),
+    }
+    if notes := [note for each in images for note in each.notes]:
+        told["read with"] = "; ".join(notes)
+    return Case(name, ours, None, {"samples": how.samples(engine)} | options, told | settings)
+
+
+def _threads(how: Asking) -> int:
+    return how.threads or os.cpu_count() or 1
+
+
+def _truth(limits: Sequence[tuple[Scene, Limit]], *, spp: int, seed: int, count: int) -> np.ndarray:
+    """Replicates of a sum of references, from the cache or rendered now."""
+    from termwise.reference import store
+
+    folder = cache_folder() / "reference"
+    found = [store.replicates(scene, limit, spp=spp, seed=seed, count=count, folder=folder) for scene, limit in limits]
+    least = min(len(each.images) for each in found)
+    stacks = [each.images[:least] for each in found]
+    return total(*stacks) if len(stacks) > 1 else stacks[0]
+
+
+def _against(row: Row) -> str:
+    return "full light transport by Mitsuba" if row.name == TOTAL else f"{row.limits[0][1]!r} by Mitsuba"
+
+
+def _objects(scene: Scene) -> dict[str, Any]:
+    """Which object the middle of each pixel sees, and their names."""
+    from termwise.renderer.engine import Engine as Renderer
+
+    with Renderer(scene) as renderer:
+        seen = renderer.geometry().object
+    return {"objects": seen, "object_names": [thing.name for thing in scene.objects]}
