@@ -28,6 +28,7 @@ SOURCES = (
     "kernel_reference.py",
     "density.py",
     "bsdf.py",
+    "distant.py",
     "sky.py",
     "physical.py",
     "second.py",

@@ -4,8 +4,9 @@ For `direct` x is what the camera sees; for `specular` it is a vertex of a chain
 ambient light are added.
 
 What the kernel does to E is part of what is meant, so the reference is the same estimate made by other means: photons
-leave Mitsuba's emitters (`sample_ray`; a point light, into a cone about all faces), fly by its `ray_intersect`, and
-are gathered by scipy's k-d tree (see `density`). They are independent of each other, and every map has its own.
+leave Mitsuba's emitters (`sample_ray`; those of a light that is the same all around, into a cone about all faces), fly
+by its `ray_intersect`, and are gathered by scipy's k-d tree (see `density`). They are independent of each other, and
+every map has its own.
 Roulette survives with `P = min(0.99, largest channel of the albedo)`; a survivor is scattered with cosine density
 about the normal n that is shaded, times `|wi·n| |wo·m| / (|wi·m| |wo·n|)` where that is not the face's own m: light and
 importance see different cosines (Veach 1997, equation 5.19).
@@ -33,18 +34,23 @@ PHOTONS = 100_000  # that are traced for a map whose mean does not depend on the
 LIGHT_SAMPLES = 8  # a pixel and map, of the first hits that no photon stands for
 CHAINS = 16  # a pixel and map: they share the map
 POINTS = 2**14  # gathered together: bounds memory
+# Numbers of the rays by which an emitter's power is read.
+MIDDLE = np.full((1, 4), 0.5)
+GRID = np.tile(np.stack(np.meshgrid(*2 * [(np.arange(64) + 0.5) / 64]), axis=-1).reshape(-1, 2), 2)
+EVEN = 0.1  # length of the mean direction below which a light is one that goes all around
 
 
 class Emitter(NamedTuple):
-    """One of Mitsuba's emitters, whose rays all weigh the same.
+    """One of Mitsuba's emitters.
 
     Attributes
     ----------
     plugin : mi.Emitter
     share : of the photons: the power's mean channel over that of all emitters.
-    power : (1, 3), flux of the emitter.
+    power : (1, 3), flux of the emitter; the rays of a spot light differ in what they carry, and this is their mean.
     origin : (1, 3), where a point light is.
-    cone : of a point light, unit axis (3,) and cosine of the edge of a cone about all faces; None for other lights.
+    cone : of a point light that is the same all around, unit axis (3,) and cosine of the edge of a cone about all
+        faces; None for other lights.
     """
 
     plugin: Any
@@ -292,20 +298,25 @@ def emitters_of(scene: Any, faces: Faces) -> tuple[Emitter, ...]:
     """Read the emitters of a scene."""
     found = []
     for emitter in scene.emitters():
-        origin, _, power = _rays(emitter, np.full((1, 4), 0.5))
         point = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition)
-        found.append(Emitter(emitter, power.mean(), power, origin, _cone(faces, origin) if point else None))
+        origin, direction, power = _rays(emitter, GRID if point else MIDDLE)
+        # A spot light is a point too, but its rays go one way.
+        even = point and np.linalg.norm(direction.mean(axis=0)) < EVEN
+        if even:
+            power = power[:1]
+        cone = _cone(faces, origin[:1]) if even else None
+        found.append(Emitter(emitter, power.mean(), power.mean(axis=0, keepdims=True), origin[:1], cone))
     total = sum(each.share for each in found)
     return tuple(each._replace(share=each.share / total) for each in found)
 
 
 def _rays(emitter: Any, uniform: np.ndarray) -> list[np.ndarray]:
     """Origins, directions and weights (N, 3) of an emitter's rays by numbers (N, 4)."""
-    point = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition)
+    on_surface = mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface)
 
     def sample(position: Any, direction: Any) -> tuple[Any, ...]:
         ray, power = emitter.sample_ray(0.0, 0.5, position, direction)
-        if point:
+        if not on_surface:
             return ray.o, ray.d, power
         # Mitsuba's rays start further off the face than a cover may be away: the same point, lifted by less.
         on_face, _ = emitter.sample_position(0.0, position)

@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from . import bsdf, film, kernel_reference, physical, second, sky
+from . import bsdf, distant, film, kernel_reference, physical, second, sky
 from .wavefront import Estimator, pixel_means
 
 
@@ -32,6 +32,7 @@ class Loaded:
         """
         bsdf.register()
         sky.register()
+        distant.register()
         located = _with_paths(description, folder)
         shared: dict[str, Any] = {}
         self.description = description
@@ -40,7 +41,7 @@ class Loaded:
         self.sky = sky.radiance(located["sky"])
         # optimize=False: Mitsuba would merge meshes of equal materials, and face numbers would be lost.
         self.scenes = {
-            role: mi.load_dict(_with_shared(shared, scene), parallel=False, optimize=False)
+            role: mi.load_dict(_with_shared(shared, _with_transformations(scene)), parallel=False, optimize=False)
             for role, scene in located["scenes"].items()
         }
 
@@ -72,6 +73,21 @@ def _with_paths(value: Any, folder: Path) -> Any:
             for key, item in value.items()
         }
     return value
+
+
+def _with_transformations(scene: dict[str, Any]) -> dict[str, Any]:
+    """A scene's dictionary with that of each light that has an axis, for JSON has no such value."""
+
+    def placed(described: Any) -> Any:
+        if not (isinstance(described, dict) and "axis" in described):
+            return described
+        rest = {key: value for key, value in described.items() if key not in ("origin", "axis")}
+        origin, axis = np.array(described["origin"]), np.array(described["axis"])
+        up = np.eye(3)[np.argmin(np.abs(axis))]
+        look_at = mi.ScalarTransform4f().look_at(origin.tolist(), (origin + axis).tolist(), up.tolist())
+        return rest | {"to_world": look_at}
+
+    return {key: placed(described) for key, described in scene.items()}
 
 
 def _with_shared(shared: dict[str, Any], scene: dict[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,17 @@ from typing import Any, Literal, get_args
 import attrs
 import numpy as np
 
-from termwise.scenes.model import Material, Mesh, Object, PointLight, Scene
+from termwise.scenes.model import (
+    DirectionalLight,
+    Light,
+    Material,
+    Mesh,
+    Object,
+    PointLight,
+    Scene,
+    SpotLight,
+    SunLight,
+)
 
 Role = Literal["color", "diffuse", "ambient", "direct", "specular", "physical-lights", "physical-sky", "physical"]
 
@@ -24,6 +34,7 @@ MANY = 64  # objects beyond which those of one look are one shape
 SIZE = 100.0  # the largest side of the canonical bounding box is in (SIZE / 2, SIZE]
 SMALLEST = 1e-3  # size of an object in a scene of extent 1
 BRIGHTEST = 1e15  # radiance or intensity
+NARROWEST = 1.0  # degrees of a spot light's cutoff
 UNBOUNDED = 1e30  # stands for an infinite range, which JSON does not have
 BLACK_BSDF = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}}
 
@@ -63,6 +74,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
     canonical = Canonical.of(scene)
     _check_sizes(scene)
     _check_radiances(scene)
+    _check_angles(scene)
     shapes, parts = gathered(scene)
     for number, thing in enumerate(shapes):
         write_ply(folder / _mesh_file(number), thing.mesh, canonical)
@@ -85,6 +97,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "light_centres": [
             [canonical.points(centre).tolist(), *_place(parts, thing)] for centre, thing in scene.light_centres
         ],
+        "suns": _suns(scene),
         "emission": [list(thing.emission) if scene.draw_lights else [0.0] * 3 for thing in shapes],
         "parts": parts,
         "scenes": {role: _scene(scene, shapes, role, canonical) for role in get_args(Role)},
@@ -166,7 +179,9 @@ def _check_sizes(scene: Scene) -> None:
 def _check_radiances(scene: Scene) -> None:
     """Refuse light whose square, and hence a variance, single precision cannot hold."""
     named: list[tuple[str, Any]] = [("ambient.color", scene.ambient.color), ("sky.color", scene.sky.color)]
-    named += [(f"lights[{number}].intensity", light.intensity) for number, light in enumerate(scene.lights)]
+    named += [
+        (f"lights[{number}].{light.sends}", getattr(light, light.sends)) for number, light in enumerate(scene.lights)
+    ]
     named += [(f"objects: {thing.name!r}: emission", thing.emission) for thing in scene.objects]
     if scene.sky.texture is not None:
         named.append(("sky.texture", float(scene.sky.texture.max())))
@@ -178,6 +193,16 @@ def _check_radiances(scene: Scene) -> None:
             )
 
 
+def _check_angles(scene: Scene) -> None:
+    """Refuse a spot light whose falloff single precision cannot hold: Mitsuba takes the angle from its cosine."""
+    for number, light in enumerate(scene.lights):
+        if isinstance(light, SpotLight) and light.cutoff < NARROWEST:
+            raise ValueError(
+                f"{scene.name}: lights[{number}].cutoff = {light.cutoff}: allowed is at least {NARROWEST:g}, for "
+                "Mitsuba computes in single precision; ours alone renders it"
+            )
+
+
 def _scene(scene: Scene, shapes: tuple[Object, ...], role: Role, canonical: Canonical) -> dict[str, Any]:
     """The same shapes in every role; lights only where the role has them."""
     lit = role in ("direct", "physical-lights", "physical") and scene.has_lights
@@ -186,7 +211,7 @@ def _scene(scene: Scene, shapes: tuple[Object, ...], role: Role, canonical: Cano
         described[f"object{number}"] = _object(scene, thing, number, role, lit)
     if lit:
         for number, light in enumerate(scene.lights):
-            described[f"light{number}"] = _LIGHTS[type(light)](light, canonical)
+            described[f"light{number}"] = _LIGHTS[type(light)](light, scene, canonical)
     if role == "ambient" and math.isinf(scene.occlusion_range):
         described["sky"] = {"type": "constant", "radiance": _rgb(scene.ambient.color)}
     if role in ("physical-sky", "physical") and not scene.sky.is_black:
@@ -227,7 +252,7 @@ def _face(thing: Object) -> dict[str, Any]:
     return {"type": "area", "radiance": _rgb(thing.emission)}
 
 
-def _point(light: PointLight, canonical: Canonical) -> dict[str, Any]:
+def _point(light: PointLight, scene: Scene, canonical: Canonical) -> dict[str, Any]:
     """A point light."""
     return {
         "type": "point",
@@ -236,8 +261,52 @@ def _point(light: PointLight, canonical: Canonical) -> dict[str, Any]:
     }
 
 
+def _spot(light: SpotLight, scene: Scene, canonical: Canonical) -> dict[str, Any]:
+    """A spot light; `prepare` makes its transformation."""
+    beam, cutoff = map(math.degrees, light.angles)
+    return {
+        "type": "spot",
+        "origin": canonical.points(light.position).tolist(),
+        "axis": list(light.axis),
+        "intensity": _rgb([component * canonical.scale**2 for component in light.intensity]),
+        "beam_width": beam,
+        "cutoff_angle": cutoff,
+    }
+
+
+def _distant(light: DirectionalLight | SunLight, scene: Scene, canonical: Canonical) -> dict[str, Any]:
+    """A disc in the sky, or a point of it."""
+    half = light.half_angle if isinstance(light, SunLight) else 0.0
+    low, high = canonical.points(scene.bounds())
+    return {
+        "type": "distant_light",
+        "towards": [-component for component in light.way],
+        "below": 2.0 * math.sin(half / 2.0) ** 2,
+        "flux": [component / math.cos(half / 2.0) ** 2 for component in light.irradiance],
+        "box": ((high - low) / 2.0).tolist(),
+        "radius": 0.5 * float(np.linalg.norm(high - low)),
+    }
+
+
 # The kinds of light that are no object, by the words of `renderer.lights`: a function each.
-_LIGHTS: dict[type, Callable[[Any, Canonical], dict[str, Any]]] = {PointLight: _point}
+_LIGHTS: dict[type[Light], Callable[[Any, Scene, Canonical], dict[str, Any]]] = {
+    PointLight: _point,
+    SpotLight: _spot,
+    DirectionalLight: _distant,
+    SunLight: _distant,
+}
+
+
+def _suns(scene: Scene) -> list[dict[str, Any]]:
+    """The discs that are drawn: middle, the chord from there to the edge on the unit sphere, radiance."""
+    return [
+        {
+            "towards": [-component for component in light.way],
+            "chord": 2.0 * math.sin(light.half_angle / 2.0),
+            "radiance": list(light.radiance),
+        }
+        for light in scene.drawn_suns
+    ]
 
 
 def _sky(scene: Scene, canonical: Canonical) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """Photon tracing: flux from the lights, deposited where it lands, `Phi_{j+1} = Phi_j f cos(theta) / (p P)`.
 
-A photon starts with `4 pi I` (point light) or `pi A L` (face) over the probability of the pick and goes on by Russian
-roulette of probability P. Diffuse scattering has the weight `f cos(theta) / p = albedo = color (1 - gloss)`; with full
-scattering the Cook-Torrance lobe is picked besides, in proportion to its gloss, and sampled by visible normals.
+A photon starts with what its light sends (`4 pi I` of a point, `pi A L` of a face, see `renderer.lights`) over the
+probability of the pick and goes on by Russian roulette of probability P. Diffuse scattering has the weight
+`f cos(theta) / p = albedo = color (1 - gloss)`; with full scattering the Cook-Torrance lobe is picked besides, in
+proportion to its gloss, and sampled by visible normals.
 
 Weighted photons carry the mean flux of light transport for any P. Unweighted ones keep the flux that they had, which
 scatters light with the grey albedo P: `rho / (1 - rho)` becomes `P / (1 - P)` (paper).

@@ -29,7 +29,7 @@ from termwise.renderer.microfacet import pdf_lobe
 from termwise.renderer.scratch import new_scratch
 from termwise.renderer.terms import VARIANTS, ambient, direct, specular
 from termwise.renderer.terms.estimator import Compiled
-from termwise.renderer.vector import column, dot, vec3
+from termwise.renderer.vector import column, vec3
 
 Event = dict[str, Any]
 
@@ -45,7 +45,7 @@ class Recorder:
     def __init__(self, scene: SceneArrays) -> None:
         self.scene = scene
         self.events: list[Event] = []
-        self._probability = 1.0  # of the light that was picked
+        self._emitter, self._probability = 0, 1.0  # the light that was picked, and how likely it was
         self._gathered: list[Event] = []
         self._mass: float | None = None
         self._found = 0
@@ -99,25 +99,24 @@ class Recorder:
 
     def pick(self, given: Any, picked: Any, caller: FrameType) -> None:
         """Which light."""
-        self._probability = picked[1]
+        self._emitter, self._probability, _ = picked
 
     def pick_by_light(self, given: Any, picked: Any, caller: FrameType) -> None:
         """Which light, chosen by what each may send."""
-        self._probability = picked[1]
+        self._emitter, self._probability, _ = picked
 
     def sample_light(self, given: Any, sampled: Any, caller: FrameType) -> None:
-        """A point of a light: `pdf` per solid angle is that of a face, None for a point light."""
+        """A point of a light: `pdf` per solid angle, None for a light that has one direction."""
         irradiance, direction, target = sampled
-        emitters, probability = self.scene.emitters, self._probability
-        self._probability = 1.0
+        emitters, emitter, probability = self.scene.emitters, self._emitter, self._probability
+        self._emitter, self._probability = 0, 1.0
         if len(emitters.kind) == 0:
             return
         pdf = None
-        if target >= 0:
-            square = dot(direction, direction)
-            cosine = -dot(vec3(self.scene.geometry.normals, target), direction) / math.sqrt(square)
-            area = emitters.faces.area[list(emitters.faces.face).index(target)]
-            pdf = probability * square / (area * cosine) if cosine > 0.0 else 0.0
+        if probability > 0.0:
+            kind, row = lights.KINDS[emitters.kind[emitter]], emitters.row[emitter]
+            pdf = kind.density(self.scene, row, given.surface, direction, target)
+        pdf = None if pdf is None else probability * pdf
         self.note("light", way=direction, probability=probability, pdf=pdf, unhidden=irradiance)
 
     def light_irradiance(self, given: Any, irradiance: Any, caller: FrameType) -> None:

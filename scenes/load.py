@@ -2,7 +2,8 @@
 
 A scene file holds the fields of `Scene`, its tables `camera`, `ambient`, `sky`, `photons` and `toggles`, and the
 arrays of tables `objects` and `lights`. Every object names a `shape` (`rectangle`, `box`, `sphere`, `mesh`) and is
-placed by `scale`, then `rotation` (degrees about x, then y, then z), then `translation`.
+placed by `scale`, then `rotation` (degrees about x, then y, then z), then `translation`. A light names its `kind`,
+but for `point`.
 Errors are one line: file, field, value, and what is allowed.
 """
 
@@ -209,7 +210,7 @@ class _SceneFile:
 
     camera: model.Camera
     objects: tuple[_Placed, ...] = ()
-    lights: tuple[model.PointLight, ...] = ()
+    lights: tuple[model.Light, ...] = ()
     ambient: model.Ambient = model.Ambient()
     sky: _SkyFile | None = None
     photons: model.Photons = model.Photons()
@@ -233,6 +234,16 @@ class _SceneFile:
         return model.Scene(name=path.stem, **fields)
 
 
+def _light(value: Any, _kind: Any) -> model.Light:
+    if not isinstance(value, dict):
+        raise TypeError("a table")
+    name = value.get("kind", model.PointLight.kind)
+    kind = model.LIGHTS.get(name) if isinstance(name, str) else None
+    if kind is None:
+        raise ValueError(f"kind = {name!r}: allowed are {', '.join(model.LIGHTS)}")
+    return _converter.structure({key: item for key, item in value.items() if key != "kind"}, kind)
+
+
 def _shape(value: Any, _kind: type) -> _Placed:
     if not isinstance(value, dict):
         raise TypeError("a table")
@@ -246,3 +257,4 @@ def _shape(value: Any, _kind: type) -> _Placed:
 
 _converter = strict.converter()
 _converter.register_structure_hook_func(lambda kind: kind is _Placed, _shape)
+_converter.register_structure_hook_func(lambda kind: kind == model.Light, _light)

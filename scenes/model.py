@@ -11,7 +11,7 @@ import hashlib
 import math
 import numbers
 from collections.abc import Callable
-from typing import Any, Literal, cast
+from typing import Any, ClassVar, Literal, cast
 
 import attrs
 import numpy as np
@@ -79,6 +79,23 @@ def _several(kind: type, count: int) -> Callable[[Any], Any]:
         return tuple(_plain(kind, value, field) for value in values)
 
     return _converter(convert)
+
+
+def _unlike_zero(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+    """Validate a vector that has a direction."""
+    finite(_instance, attribute, value)
+    if not _has_length(value):
+        _refuse(attribute, value, "a vector other than 0 whose length has a square that is a float64")
+
+
+def _has_length(vector: Any) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(0.0 < np.linalg.norm(vector) < math.inf)
+
+
+def _unit(vector: Any) -> Vector:
+    x, y, z = (np.asarray(vector, np.float64) / np.linalg.norm(vector)).tolist()
+    return x, y, z
 
 
 _number = _converter(lambda value, field: _plain(float, value, field))
@@ -206,8 +223,130 @@ class Object:
 class PointLight:
     """A point that radiates `intensity` (radiance x area) in every direction."""
 
+    kind: ClassVar[str] = "point"
+    sends: ClassVar[str] = "intensity"
+
     position: Vector = attrs.field(converter=_triple, validator=finite)
     intensity: Color = attrs.field(converter=_triple, validator=non_negative)
+
+    @property
+    def centre(self) -> Vector | None:
+        """Where it is."""
+        return self.position
+
+
+@attrs.frozen
+class SpotLight:
+    """A point that radiates `intensity` towards `target`, less aside, and nothing beyond the angle `cutoff`.
+
+    In a direction at the angle t from the axis it is `intensity` up to `beam`, and from there falls linearly in t:
+    `intensity (cutoff - t) / (cutoff - beam)`. Both angles are degrees from the axis; without a `beam` it is three
+    quarters of `cutoff`.
+    """
+
+    kind: ClassVar[str] = "spot"
+    sends: ClassVar[str] = "intensity"
+
+    position: Vector = attrs.field(converter=_triple, validator=finite)
+    target: Vector = attrs.field(converter=_triple, validator=finite)
+    intensity: Color = attrs.field(converter=_triple, validator=non_negative)
+    cutoff: float = attrs.field(converter=_number, default=20.0, validator=in_range(0.01, 90.0))
+    beam: float | None = attrs.field(converter=attrs.converters.optional(_number), default=None)
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse a light without a direction, and a beam that is wider than the light."""
+        if not _has_length(np.subtract(self.target, self.position)):
+            raise ValueError(
+                f"target = {self.target!r}: allowed is a point other than position whose distance from it has a "
+                "square that is a float64"
+            )
+        if self.beam is not None and not 0.0 <= self.beam <= self.cutoff:
+            raise ValueError(f"beam = {self.beam!r}: allowed is a number in [0, cutoff], cutoff = {self.cutoff!r}")
+
+    @property
+    def axis(self) -> Vector:
+        """Unit vector towards the target."""
+        return _unit(np.subtract(self.target, self.position))
+
+    @property
+    def angles(self) -> tuple[float, float]:
+        """Beam and cutoff, radians."""
+        beam = 0.75 * self.cutoff if self.beam is None else self.beam
+        return math.radians(beam), math.radians(self.cutoff)
+
+    @property
+    def centre(self) -> Vector | None:
+        """Where it is."""
+        return self.position
+
+
+@attrs.frozen
+class DirectionalLight:
+    """Light from far away that flies along `direction`: `irradiance` on a surface that faces it."""
+
+    kind: ClassVar[str] = "directional"
+    sends: ClassVar[str] = "irradiance"
+
+    direction: Vector = attrs.field(converter=_triple, validator=_unlike_zero)
+    irradiance: Color = attrs.field(converter=_triple, validator=non_negative)
+
+    @property
+    def way(self) -> Vector:
+        """Unit vector along which the light flies."""
+        return _unit(self.direction)
+
+    @property
+    def centre(self) -> Vector | None:
+        """None: it is nowhere."""
+        return None
+
+
+@attrs.frozen
+class SunLight:
+    """A disc in the sky, as far away as the stars, of the apparent diameter `angle` (degrees) and one radiance.
+
+    Light from its middle flies along `direction`. A surface that faces the middle, and sees all of the disc, has
+    `irradiance = radiance pi sin²(angle / 2)`. The sky behind it is seen as if there were no sun.
+    """
+
+    kind: ClassVar[str] = "sun"
+    sends: ClassVar[str] = "irradiance"
+
+    direction: Vector = attrs.field(converter=_triple, validator=_unlike_zero)
+    irradiance: Color = attrs.field(converter=_triple, validator=non_negative)
+    angle: float = attrs.field(converter=_number, default=0.533, validator=in_range(1e-3, 180.0))
+
+    @property
+    def way(self) -> Vector:
+        """Unit vector along which the light of its middle flies."""
+        return _unit(self.direction)
+
+    @property
+    def half_angle(self) -> float:
+        """From the middle of the disc to its edge, radians."""
+        return math.radians(self.angle) / 2.0
+
+    @property
+    def radiance(self) -> Color:
+        """Of every point of the disc."""
+        red, green, blue = (each / (math.pi * math.sin(self.half_angle) ** 2) for each in self.irradiance)
+        return red, green, blue
+
+    @property
+    def centre(self) -> Vector | None:
+        """None: it is nowhere."""
+        return None
+
+
+Light = PointLight | SpotLight | DirectionalLight | SunLight
+"""What stands in `Scene.lights`. Each kind has its `kind`, the name of the field that it `sends`, and its `centre`."""
+
+LIGHTS: dict[str, type] = {each.kind: each for each in (PointLight, SpotLight, DirectionalLight, SunLight)}
+
+
+def shines(light: Light) -> bool:
+    """Whether a light sends anything."""
+    return any(getattr(light, light.sends))
 
 
 @attrs.frozen(eq=False)
@@ -361,8 +500,9 @@ class Scene:
     Choices that the paper's code makes or leaves open; the first of each is the default:
 
     - `shadows` is "physical", where visibility alone decides, or "paper", its early return on top: a point that sees
-      the centre of no light (a point light's position, an emitting object's centroid by area, its own faces apart) has
-      `color` times the ambient light and nothing else, and a specular chain ends there. Without lights there is none.
+      the centre of no light (a point light's or spot's position, an emitting object's centroid by area, its own faces
+      apart) has `color` times the ambient light and nothing else, and a specular chain ends there. Without lights there
+      is none, and lights that have no centre are refused.
     - `irradiance`: direct light is read from E as "E / pi", or as "E", pi times too bright.
     - `ignore`: a ray that leaves a surface passes the "face" that it leaves, or all of its "object", which costs
       concave objects their own shadows and occlusion.
@@ -375,7 +515,7 @@ class Scene:
     name: str
     camera: Camera
     objects: tuple[Object, ...] = ()
-    lights: tuple[PointLight, ...] = ()
+    lights: tuple[Light, ...] = ()
     ambient: Ambient = Ambient()
     sky: Sky = attrs.field(factory=Sky)
     photons: Photons = Photons()
@@ -410,6 +550,14 @@ class Scene:
                         f"objects: {thing.name!r}: normals = 'smooth': allowed is 'flat' where the scene has normals = "
                         "'face'"
                     )
+        if self.shadows == "paper":
+            for number, light in enumerate(self.lights):
+                if light.centre is None:
+                    having = ", ".join(kind for kind, each in LIGHTS.items() if "position" in attrs.fields_dict(each))
+                    raise ValueError(
+                        f"lights[{number}]: kind = {light.kind!r}: allowed with shadows = 'paper', which asks for the "
+                        f"centre of a light, are {having}"
+                    )
         coincident.check_camera(self.objects, self.camera.position)
         # Frozen but for this: what lies over an equal face is no part of what is rendered.
         object.__setattr__(self, "objects", coincident.counted_once(self.objects, self.camera.position))
@@ -421,7 +569,7 @@ class Scene:
         width, height = self.resolution
         return (
             f"Scene({self.name!r}, {len(self.objects)} objects of {faces} faces, {lamps} of them lamps, "
-            f"{len(self.lights)} point lights, {width} x {height})"
+            f"{len(self.lights)} other lights, {width} x {height})"
         )
 
     @property
@@ -442,15 +590,20 @@ class Scene:
     @property
     def has_lights(self) -> bool:
         """Whether anything emits light and lighting is on."""
-        shining = any(any(light.intensity) for light in self.lights)
-        return self.toggles.lighting and (shining or any(thing.emits for thing in self.objects))
+        return self.toggles.lighting and (any(map(shines, self.lights)) or any(thing.emits for thing in self.objects))
+
+    @property
+    def drawn_suns(self) -> tuple[SunLight, ...]:
+        """The suns that the background term shows."""
+        drawn = self.draw_lights and self.toggles.lighting
+        return tuple(each for each in self.lights if drawn and isinstance(each, SunLight) and shines(each))
 
     @property
     def light_centres(self) -> list[tuple[Vector, int]]:
-        """Centre of each light that is on, and the index of its object (-1: a point light)."""
+        """Centre of each light that is on and has one, and the index of its object (-1: none)."""
         if not self.toggles.lighting:
             return []
-        points = [(light.position, -1) for light in self.lights if any(light.intensity)]
+        points = [(centre, -1) for light in self.lights if shines(light) and (centre := light.centre) is not None]
         return points + [(thing.mesh.centroid(), i) for i, thing in enumerate(self.objects) if thing.emits]
 
     @property

@@ -14,7 +14,7 @@ import trimesh
 
 from termwise.scenes.images import openexr
 from termwise.scenes.load import load
-from termwise.scenes.model import Ambient, Material, Mesh, Object, Photons, Scene, Sky, Toggles
+from termwise.scenes.model import Ambient, Light, Material, Mesh, Object, Photons, PointLight, Scene, Sky, Toggles
 from termwise.scenes.store import write_atomically
 
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]])
@@ -45,7 +45,7 @@ def save(scene: Scene, path: Path) -> None:
     if sky := _sky(scene.sky, files):
         table["sky"] = sky
     table["objects"] = [_object(thing, number, files) for number, thing in enumerate(scene.objects)]
-    table["lights"] = [{"position": list(light.position), "intensity": list(light.intensity)} for light in scene.lights]
+    table["lights"] = [_light(light) for light in scene.lights]
     text = tomli_w.dumps({name: value for name, value in table.items() if value != []})
     write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
     assert load(path).digest() == scene.digest(), path
@@ -72,6 +72,12 @@ def _sky(sky: Sky, files: Path) -> dict[str, Any]:
     pixels = sky.texture
     write_atomically(files / "sky.exr", lambda temporary: openexr.write(temporary, pixels))
     return {"texture": f"{files.name}/sky.exr", **table}
+
+
+def _light(light: Light) -> dict[str, Any]:
+    table = {} if isinstance(light, PointLight) else {"kind": light.kind}
+    fields = ((field, getattr(light, field.name)) for field in attrs.fields(type(light)))
+    return table | {field.name: _plain(value) for field, value in fields if value != field.default}
 
 
 def _object(thing: Object, number: int, files: Path) -> dict[str, Any]:

@@ -85,6 +85,13 @@ def _specular(scene: Scene, material: Material) -> Color:
     return gloss, gloss, gloss
 
 
+def _beyond(scene: Scene) -> Color | None:
+    """What is seen beside all objects, where that is one colour."""
+    if scene.drawn_suns:
+        return None
+    return BLACK if scene.sky.is_black else scene.sky.color if scene.sky.texture is None else None
+
+
 def _by_lights(scene: Scene) -> bool:
     return scene.shadows == "paper"
 
@@ -105,7 +112,18 @@ _MATERIAL = (
     "objects.material.f0",
     "toggles.reflections",
 )
-_LIGHTS = ("lights.position", "lights.intensity", "objects.emission", "toggles.lighting")
+_LIGHTS = (
+    "lights.position",
+    "lights.intensity",
+    "lights.target",
+    "lights.cutoff",
+    "lights.beam",
+    "lights.direction",
+    "lights.irradiance",
+    "lights.angle",
+    "objects.emission",
+    "toggles.lighting",
+)
 _SKY = read("sky.color", "sky.texture", "sky.center", "sky.radius", "sky.projection")
 
 PHOTONS = (
@@ -178,9 +196,7 @@ TABLE: dict[Term, TermRow] = {
             ),
             reads=(read("draw_lights"), _SKY, _EMITTERS, read(*_LIGHTS, when=lambda scene: scene.draw_lights)),
             sky=True,
-            beyond=lambda scene: (
-                BLACK if scene.sky.is_black else scene.sky.color if scene.sky.texture is None else None
-            ),
+            beyond=_beyond,
             beyond_is="the constant sky",
         ),
     )

@@ -1,10 +1,11 @@
-"""Background: what a camera ray sees without shading: the sky on a miss, and the emission of a light's front side."""
+"""Background: what a camera ray sees without shading: the sky on a miss, suns before it, and a light's front side."""
 
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from .. import distant
 from ..wavefront import Estimator, Samples, shape_pointer
 
 
@@ -17,9 +18,12 @@ def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
         if any(emission)
     ]
 
+    suns = distant.discs(loaded.description["suns"])
+
     def estimate(samples: Samples) -> tuple[Any]:
         si = scene.ray_intersect(samples.ray)
-        color = loaded.sky(samples.ray, si.t == dr.inf)
+        missed = si.t == dr.inf
+        color = loaded.sky(samples.ray, missed) + suns(samples.ray.d, missed)
         front = si.is_valid() & (dr.dot(si.n, samples.ray.d) < 0.0)
         for shape, emission in lights:
             color += dr.select(front & (si.shape == shape), emission, 0.0)

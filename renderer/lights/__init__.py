@@ -1,8 +1,8 @@
 """Light sampling: irradiance `E / pi` at a point from one emitter, picked in proportion to its power.
 
-An emitter is a point light or an emitting face: each kind has a file of its own, with the same words (see KINDS). What
-it sends is divided by the probability of the pick. Unbiased at any count: what may light the point has a probability
-above 0.
+An emitter is an emitting face or a light of the scene's list: each kind has a file of its own, with the same words (see
+KINDS). What it sends is divided by the probability of the pick. Unbiased at any count: what may light the point has a
+probability above 0.
 
 One number picks the emitter, and what is left of it, stretched to [0, 1), places the point: the points on each face are
 then as evenly spread as those of the square. With a number of its own for the pick, a face gets a random half of them:
@@ -17,9 +17,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from termwise.renderer.jit import device
-from termwise.renderer.lights import face, point
+from termwise.renderer.lights import directional, face, point, spot, sun
+from termwise.renderer.lights.directional import Directionals
 from termwise.renderer.lights.face import Faces
 from termwise.renderer.lights.point import Points
+from termwise.renderer.lights.spot import Spots
+from termwise.renderer.lights.sun import Suns
 from termwise.renderer.vector import Vec3, entry
 from termwise.scenes.model import Scene
 
@@ -30,11 +33,11 @@ if TYPE_CHECKING:  # they hold what is defined here
 _BELOW_ONE = 1.0 - 2.0**-53
 
 # A kind of light is a module. For a scene it has SOURCE, the class whose values it reads, DRAWS, whether its samples of
-# one light differ, `from_scene`, its arrays, which have a row and a `strength` for each emitter, and `power`. For a
-# kernel it has `bound`, `sample` and `emit`, each given the row: the three chains of `if` below, for Numba has no table
-# of functions. Emitters are numbered kind by kind in this order.
-KINDS = (point, face)
-POINT, _FACE = range(len(KINDS))
+# one light differ, `from_scene`, its arrays, which have a row and a `strength` for each emitter, or None, and `power`;
+# for a record of a sample `density`. For a kernel it has `bound`, `sample` and `emit`, each given the row: the three
+# chains of `if` below, for Numba has no table of functions. Emitters are numbered kind by kind in this order.
+KINDS = (point, face, spot, directional, sun)
+POINT, FACE, SPOT, DIRECTIONAL, SUN = range(len(KINDS))
 
 
 class Emitters(NamedTuple):
@@ -47,7 +50,8 @@ class Emitters(NamedTuple):
     aimed : (N + 1,), the same sum, the power being that which is sent towards the scene.
     share : that power over all power.
     drawn : whether samples of the light differ: False where there is one emitter, of a kind that draws nothing.
-    points, faces : the arrays of each kind, in the order of KINDS.
+    points, faces, spots, directionals, suns : the arrays of each kind, in the order of KINDS; None of one that the
+        scene has not and that the kernels are compiled without: they pay nothing for it.
     """
 
     kind: np.ndarray
@@ -58,15 +62,18 @@ class Emitters(NamedTuple):
     drawn: bool
     points: Points
     faces: Faces
+    spots: Spots | None
+    directionals: Directionals | None
+    suns: Suns | None
 
 
 @functools.lru_cache(maxsize=4)
 def emitters_of(scene: Scene) -> Emitters:
     """The lights of a scene, without its tree; kept, because the plan asks often and a cone looks at all vertices."""
     arrays = [kind.from_scene(scene, scene.toggles.lighting) for kind in KINDS]
-    counts = [len(each.strength) for each in arrays]
+    counts = [0 if each is None else len(each.strength) for each in arrays]
     power, towards = (
-        np.concatenate([kind.power(each, aimed) for kind, each in zip(KINDS, arrays, strict=True)])
+        np.concatenate([kind.power(each, aimed) for kind, each in zip(KINDS, arrays, strict=True) if each is not None])
         for aimed in (False, True)
     )
     kinds = np.repeat(np.arange(len(KINDS), dtype=np.int32), counts)
@@ -95,24 +102,61 @@ def samples_differ(scene: Scene) -> bool:
     return len(sources) != 1 or draws
 
 
+# Numba leaves out a branch that asks an argument of type None whether it is None, and compiles nothing behind it.
+
+
 @device
 def bound(scene: SceneArrays, surface: Surface, index: int) -> float:
     """About what an emitter sends to a surface were it not hidden; 0 only where no point of it can."""
     emitters = scene.emitters
     row = entry(emitters.row, index)
-    if emitters.kind[index] == POINT:
+    kind = emitters.kind[index]
+    return _bound(scene, surface, kind, row, emitters.spots, emitters.directionals, emitters.suns)
+
+
+@device
+def _bound(
+    scene: SceneArrays,
+    surface: Surface,
+    kind: int,
+    row: int,
+    spots: Spots | None,
+    directionals: Directionals | None,
+    suns: Suns | None,
+) -> float:
+    if kind == POINT:
         return point.bound(scene, row, surface)
+    if spots is not None and kind == SPOT:
+        return spot.bound(scene, row, surface)
+    if directionals is not None and kind == DIRECTIONAL:
+        return directional.bound(scene, row, surface)
+    if suns is not None and kind == SUN:
+        return sun.bound(scene, row, surface)
     return face.bound(scene, row, surface)
 
 
 @device
 def _sample(
-    scene: SceneArrays, index: int, probability: float, surface: Surface, u: float, v: float
+    scene: SceneArrays,
+    index: int,
+    probability: float,
+    surface: Surface,
+    u: float,
+    v: float,
+    spots: Spots | None,
+    directionals: Directionals | None,
+    suns: Suns | None,
 ) -> tuple[Vec3, Vec3, int]:
-    emitters = scene.emitters
-    row = entry(emitters.row, index)
-    if emitters.kind[index] == POINT:
+    kind = scene.emitters.kind[index]
+    row = entry(scene.emitters.row, index)
+    if kind == POINT:
         return point.sample(scene, row, probability, surface, u, v)
+    if spots is not None and kind == SPOT:
+        return spot.sample(scene, row, probability, surface, u, v)
+    if directionals is not None and kind == DIRECTIONAL:
+        return directional.sample(scene, row, probability, surface, u, v)
+    if suns is not None and kind == SUN:
+        return sun.sample(scene, row, probability, surface, u, v)
     return face.sample(scene, row, probability, surface, u, v)
 
 
@@ -124,11 +168,20 @@ def _emit(
     aimed: bool,
     place: tuple[float, float],
     way: tuple[float, float],
+    spots: Spots | None,
+    directionals: Directionals | None,
+    suns: Suns | None,
 ) -> tuple[Vec3, Vec3, Vec3, int]:
-    emitters = scene.emitters
-    row = entry(emitters.row, index)
-    if emitters.kind[index] == POINT:
+    kind = scene.emitters.kind[index]
+    row = entry(scene.emitters.row, index)
+    if kind == POINT:
         return point.emit(scene, row, probability, aimed, place, way)
+    if spots is not None and kind == SPOT:
+        return spot.emit(scene, row, probability, aimed, place, way)
+    if directionals is not None and kind == DIRECTIONAL:
+        return directional.emit(scene, row, probability, aimed, place, way)
+    if suns is not None and kind == SUN:
+        return sun.emit(scene, row, probability, aimed, place, way)
     return face.emit(scene, row, probability, aimed, place, way)
 
 
@@ -187,7 +240,8 @@ def sample_light(scene: SceneArrays, surface: Surface, u: float, v: float) -> tu
             return black, black, -1
     elif len(emitters.kind) > 1:
         index, probability, u = pick(emitters.cdf, u)
-    return _sample(scene, index, probability, surface, u, v)
+    further = emitters.spots, emitters.directionals, emitters.suns
+    return _sample(scene, index, probability, surface, u, v, *further)
 
 
 @device
@@ -197,4 +251,5 @@ def emit_photon(
     """Origin, direction, power and face (-1: none) of a photon, one of one, by two points of the unit square."""
     emitters = scene.emitters
     index, probability, u = pick(emitters.aimed if aimed else emitters.cdf, place[0])
-    return _emit(scene, index, probability, aimed, (u, place[1]), way)
+    further = emitters.spots, emitters.directionals, emitters.suns
+    return _emit(scene, index, probability, aimed, (u, place[1]), way, *further)

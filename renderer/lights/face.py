@@ -63,6 +63,13 @@ def power(faces: Faces, aimed: bool) -> np.ndarray:
     return math.pi * faces.area * faces.radiance
 
 
+def density(scene: SceneArrays, row: int, surface: Surface, direction: Vec3, face: int) -> float | None:
+    """Of a sample, per solid angle; 0 where the face shows its back."""
+    square = dot(direction, direction)
+    cosine = -dot(vec3(scene.geometry.normals, face), direction) / math.sqrt(square)
+    return square / (scene.emitters.faces.area[row] * cosine) if cosine > 0.0 else 0.0
+
+
 @device
 def bound(scene: SceneArrays, row: int, surface: Surface) -> float:
     """About what a face sends to a surface were it not hidden; 0 only where no point of it can.

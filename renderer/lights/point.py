@@ -12,7 +12,7 @@ from termwise.renderer.lights.aim import cone
 from termwise.renderer.lights.arriving import arriving
 from termwise.renderer.vector import Vec3, dot, frame, scale, sub, to_world, vec3
 from termwise.renderer.warp import INV_PI, square_to_uniform_cone, square_to_uniform_sphere
-from termwise.scenes.model import PointLight, Scene
+from termwise.scenes.model import PointLight, Scene, shines
 
 if TYPE_CHECKING:  # they hold what is defined here
     from termwise.renderer.arrays import SceneArrays
@@ -42,7 +42,7 @@ class Points(NamedTuple):
 
 def from_scene(scene: Scene, lit: bool) -> Points:
     """Those that shine; none where a scene is not lit."""
-    lights = [light for light in scene.lights if lit and isinstance(light, SOURCE) and any(light.intensity)]
+    lights = [light for light in scene.lights if lit and isinstance(light, SOURCE) and shines(light)]
     position = np.array([light.position for light in lights]).reshape(-1, 3)
     intensity = np.array([light.intensity for light in lights]).reshape(-1, 3)
     vertices = np.concatenate([np.zeros((0, 3)), *(thing.mesh.vertices for thing in scene.objects)])
@@ -56,6 +56,11 @@ def power(points: Points, aimed: bool) -> np.ndarray:
     """Power of each (P,), mean channel; `aimed`: what goes into the cones."""
     solid_angle = 2.0 * math.pi * (1.0 - points.cosine) if aimed else 4.0 * math.pi
     return solid_angle * points.strength
+
+
+def density(scene: SceneArrays, row: int, surface: Surface, direction: Vec3, face: int) -> float | None:
+    """Of a sample, per solid angle: none, for all have one direction."""
+    return None
 
 
 @device

@@ -1,21 +1,32 @@
 """Background: what a camera ray sees without shading: the sky on a miss, and a light's own surface (`draw_lights`).
 
-The paper draws no lights. An emitter shows the radiance of its front side; its back is black.
+The paper draws no lights. An emitter shows the radiance of its front side; its back is black. A sun stands before the
+sky and hides none of it.
 """
 
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.film import accumulate, next_hits, no_hits
-from termwise.renderer.jit import kernel
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.lights.sun import Suns, radiance_of_suns
 from termwise.renderer.material import emission
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sky import sky_radiance
 from termwise.renderer.surface import surface_of
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
-from termwise.renderer.vector import column
+from termwise.renderer.vector import Vec3, add, column
 from termwise.scenes.limits import Limit
+
+
+@device
+def _beyond(scene: SceneArrays, suns: Suns | None, origin: Vec3, direction: Vec3) -> Vec3:
+    """What a ray sees that misses everything."""
+    sky = sky_radiance(scene.sky, origin, direction)
+    if suns is not None and scene.draw_lights:
+        return add(sky, radiance_of_suns(suns, direction))
+    return sky
 
 
 @kernel
@@ -30,7 +41,7 @@ def _seen(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
             if surface.face < 0:
                 origin = column(scratch.primary.origins, i)
                 direction = column(scratch.primary.directions, i)
-                accumulate(out, hits.y, scratch.x[i], sky_radiance(scene.sky, origin, direction))
+                accumulate(out, hits.y, scratch.x[i], _beyond(scene, scene.emitters.suns, origin, direction))
             elif scene.draw_lights and surface.side > 0.0:
                 accumulate(out, hits.y, scratch.x[i], emission(scene, surface.face, surface.b1, surface.b2))
 

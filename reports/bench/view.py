@@ -133,7 +133,7 @@ def _inputs(state: State) -> list[tuple[str, Steps, float]]:
         ("gloss", ("scene", "objects", glossy, "material", "gloss"), -0.001),
     ]
     if state.scene.lights:
-        found.append(("light", ("scene", "lights", 0, "position", 2), 0.002))
+        found.append(("light", ("scene", "lights", 0, state.scene.lights[0].sends, 0), 0.002))
     lamps = [i for i, thing in enumerate(state.scene.objects) if thing.emits]
     if lamps:
         found.append(("light", ("scene", "objects", lamps[0], "emission", 0), 0.01))

@@ -155,9 +155,8 @@ def settings(loaded: Any, limit: Limit) -> Iterator[Setting]:
         raise ValueError(f"term = {limit.term!r}: allowed are ambient, direct and specular")
     elif limit.scope == "first-hit":
         role = "direct"
-        # Each of n samples of a point counts fully in Mitsuba's `direct`: n times too bright. Such a light has no noise
-        # that more samples of it would lessen.
-        points = any(shape < 0 for _, shape, *_ in description["light_centres"])
+        # Each of n samples of a light that no ray meets counts fully in Mitsuba's `direct`: n times too bright.
+        points = any(mi.has_flag(each.flags(), mi.EmitterFlags.Delta) for each in loaded.scenes["direct"].emitters())
         integrators = {
             f"x{n}": mi.load_dict({"type": "direct", "emitter_samples": n, "bsdf_samples": 0, "hide_emitters": True})
             for n in (SHARED[:1] if points else SHARED)

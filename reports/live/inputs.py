@@ -10,10 +10,13 @@ import attrs
 
 from termwise.renderer.terms import VARIANTS
 from termwise.reports.live.state import State, Steps
-from termwise.scenes.model import Photons, Scene, Sky
+from termwise.scenes.model import Light, Photons, Scene, Sky
 from termwise.scenes.terms import TERMS
 
 _LENGTH, _RADIANCE, _DEGREES = "scene units", "radiance", "degrees"
+# Units of what lights send, and ends of the sliders of their angles.
+_SENT = {"intensity": "radiance × area", "irradiance": "radiance × solid angle"}
+_ANGLES = {"cutoff": 90.0, "angle": 180.0}
 
 
 @attrs.frozen
@@ -86,20 +89,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
     yield (
         "Light",
         [
-            *(
-                each
-                for number in range(len(scene.lights))
-                for each in (
-                    *_triple(("scene", "lights", number, "position"), f"light {number + 1}", "", _LENGTH, "xyz"),
-                    *_triple(
-                        ("scene", "lights", number, "intensity"),
-                        f"light {number + 1} intensity",
-                        "",
-                        "radiance × area",
-                        "RGB",
-                    ),
-                )
-            ),
+            *(each for number in range(len(scene.lights)) for each in _light(number, scene.lights[number])),
             *(
                 each
                 for number, thing in enumerate(scene.objects)
@@ -169,6 +159,24 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                     *_triple((*material, "f0"), "F0", "", "reflectance", "RGB", high=1.0),
                 ],
             )
+
+
+def _light(number: int, light: Light) -> Iterator[Input]:
+    """The inputs of a light that is no object, by its fields."""
+    of = f"light {number + 1}"
+    for field in attrs.fields(type(light)):
+        path: Steps = ("scene", "lights", number, field.name)
+        label = of if field.name == "position" else f"{of} {field.name}"
+        if field.name in ("position", "target"):
+            yield from _triple(path, label, "", _LENGTH, "xyz")
+        elif field.name == "direction":
+            yield from _triple(path, label, "", "of any length", "xyz")
+        elif field.name == light.sends:
+            yield from _triple(path, label, "", _SENT[field.name], "RGB")
+        elif field.default is None:
+            yield Input(path, label, "", f"{_DEGREES} from the axis, or auto", word="auto")
+        else:
+            yield Input(path, label, "", _DEGREES, 0.0, _ANGLES[field.name], 0.1)
 
 
 def _triple(path: Steps, label: str, paper: str, unit: str, parts: str, high: float | None = None) -> list[Input]:

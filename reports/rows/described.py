@@ -11,6 +11,7 @@ from termwise.reports.jobs.cells import Cell
 from termwise.reports.study import closed_forms
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import Subject
+from termwise.scenes.model import LIGHTS, PointLight
 from termwise.scenes.terms import TERMS, Term
 
 
@@ -32,7 +33,11 @@ def describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, 
             "triangles": sum(len(thing.mesh.faces) for thing in scene.objects),
             "ambient light": list(scene.ambient.color),
             "ambient occlusion range": scene.ambient.range if math.isfinite(scene.ambient.range) else "infinite",
-            "point lights": len(scene.lights),
+            **{
+                f"{kind} lights": count
+                for kind in LIGHTS
+                if (count := sum(light.kind == kind for light in scene.lights)) or kind == PointLight.kind
+            },
             "area lights": sum(thing.emits for thing in scene.objects),
             "sky": f"texture, {scene.sky.projection}" if scene.sky.texture is not None else list(scene.sky.color),
             "pixel rule": scene.camera.pixel,

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from termwise.reports.bench.common import known, machine, positive
-from termwise.reports.stress import garbage, intersection, photons, radiance, rounding, shading
+from termwise.reports.stress import garbage, intersection, lights, photons, radiance, rounding, shading
 from termwise.reports.stress.row import SIDES, Row
 from termwise.reports.stress.row import measure as measure_row
 
@@ -19,6 +19,7 @@ GROUPS: dict[str, ModuleType] = {
     "shading": shading,
     "radiance": radiance,
     "photons": photons,
+    "lights": lights,
     "rounding": rounding,
     "garbage": garbage,
 }

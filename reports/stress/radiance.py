@@ -49,7 +49,7 @@ def _brighter(scene: Scene, factor: float) -> Scene:
 
     return attrs.evolve(
         scene,
-        lights=tuple(attrs.evolve(each, intensity=times(each.intensity)) for each in scene.lights),
+        lights=tuple(attrs.evolve(each, **{each.sends: times(getattr(each, each.sends))}) for each in scene.lights),
         objects=tuple(attrs.evolve(each, emission=times(each.emission)) for each in scene.objects),
         ambient=attrs.evolve(scene.ambient, color=times(scene.ambient.color)),
         sky=attrs.evolve(scene.sky, color=times(scene.sky.color)),

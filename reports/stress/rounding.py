@@ -30,7 +30,7 @@ from termwise.renderer.arrays import from_scene
 from termwise.renderer.geometry.bvh import Tree
 from termwise.reports.stress.row import Row
 from termwise.scenes.load import load
-from termwise.scenes.model import Mesh, Scene
+from termwise.scenes.model import Light, Mesh, Scene
 
 UNIT, LEVER = 2.0**-52, 2.0**-30
 DRAWS = 8
@@ -85,10 +85,7 @@ def perturbed(scene: Scene, unit: float, rng: np.random.Generator) -> Scene:
             for thing in scene.objects
         ),
         camera=attrs.evolve(camera, position=three(camera.position), target=three(camera.target)),
-        lights=tuple(
-            attrs.evolve(light, position=three(light.position), intensity=three(light.intensity))
-            for light in scene.lights
-        ),
+        lights=tuple(_with(light, three, "position", "target", "direction", light.sends) for light in scene.lights),
         ambient=attrs.evolve(scene.ambient, color=three(scene.ambient.color)),
         sky=attrs.evolve(scene.sky, color=three(scene.sky.color)),
     )
@@ -118,8 +115,16 @@ def moved(scene: Scene) -> Scene:
             target=three(camera.target),
             up=(float(up[0]), float(up[1]), float(up[2])),
         ),
-        lights=tuple(attrs.evolve(light, position=three(light.position)) for light in scene.lights),
+        lights=tuple(
+            _with(_with(light, three, "position", "target"), lambda way: tuple(_TURN @ way), "direction")
+            for light in scene.lights
+        ),
     )
+
+
+def _with(light: Light, change: Callable[[Values], Values], *fields: str) -> Light:
+    """A light with those of the fields changed that it has."""
+    return attrs.evolve(light, **{name: change(getattr(light, name)) for name in fields if hasattr(light, name)})
 
 
 def spread(image: Image, scene: Scene) -> Spread:

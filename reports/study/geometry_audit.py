@@ -17,7 +17,7 @@ import numpy as np
 from termwise import reference
 from termwise.reference.translate import Canonical
 from termwise.reports.study.crossings import Crossings, Soup
-from termwise.scenes.model import Scene
+from termwise.scenes.model import Scene, Vector
 
 POINTS = 320
 DOUBT = 2.0**-13
@@ -142,17 +142,21 @@ class _Audit:
     def _lights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A point of a light for each point of the film, the normal and the number of its face; 0 and -1 of a point's.
 
-        All lights are as likely, and all points of one. Without any, points of all faces stand for them.
+        All lights are as likely, and all points of one. Of a light that is nowhere they are those of a disc as large as
+        the scene, as far away as shadow rays go. Without any light, points of all faces stand for them.
         """
         emitting = [number for number, thing in enumerate(self.scene.objects) if thing.emits]
-        points = self.canonical.points(np.reshape([light.position for light in self.scene.lights], (-1, 3)))
-        if not emitting and not len(points):
+        lights = self.scene.lights
+        if not emitting and not lights:
             emitting = list(range(len(self.scene.objects)))
-        chosen = self.rng.integers(len(points) + len(emitting), size=POINTS)
+        chosen = self.rng.integers(len(lights) + len(emitting), size=POINTS)
         target, normal, face = np.zeros((POINTS, 3)), np.zeros((POINTS, 3)), np.full(POINTS, -1)
-        point = chosen < len(points)
-        target[point] = points[chosen[point]]
-        for number, thing in enumerate(emitting, start=len(points)):
+        for number, light in enumerate(lights):
+            here = np.flatnonzero(chosen == number)
+            target[here] = (
+                self._far(light.way, len(here)) if light.centre is None else self.canonical.points(light.centre)
+            )
+        for number, thing in enumerate(emitting, start=len(lights)):
             here = np.flatnonzero(chosen == number)
             its = np.flatnonzero(self.owner == thing)
             corners = self.soup.corners[its]
@@ -164,6 +168,13 @@ class _Audit:
             share = self.rng.dirichlet(np.ones(3), len(here))
             target[here] = np.einsum("nc,ncx->nx", share, self.soup.corners[face[here]])
         return target, normal, face
+
+    def _far(self, way: Vector, count: int) -> np.ndarray:
+        """Points (count, 3) of a disc from which light along `way` falls on the scene."""
+        aside = self.rng.normal(size=(count, 3))
+        aside -= np.outer(aside @ way, way)
+        distance = 0.5 * self.reach * np.sqrt(self.rng.random((count, 1)))
+        return distance * _unit(aside) - 2.0 * self.reach * np.array(way)
 
     # Comparing.
 

@@ -92,12 +92,23 @@ SEEN = Case("cornell_box", "direct", "next-event", samples=4, after="next-event"
 MESH = Case("monkey", "ambient", "cosine", samples=32)
 SHADOWED = Case("shadowed cornell_box", "direct", "next-event", samples=32)
 BRIGHT = Case("bright cornell_box", "direct", "next-event", samples=32)
+SPOT = Case("spot lights", "direct", "path", samples=64)
+SPOT_PHOTONS = Case("spot lights", "direct", "photon-map", samples=16)
+DIRECTIONAL = Case("directional lights", "direct", "path", samples=64)
+DIRECTIONAL_PHOTONS = Case("directional lights", "direct", "photon-map", samples=16)
+WIDE_SUN = Case("wide sun lights", "direct", "path", samples=256)
+SUN_PHOTONS = Case("wide sun lights", "direct", "photon-map", samples=16)
+ALL_LIGHTS = Case("lights", "direct", "path", samples=256)
 
 _AMBIENT = "renderer/terms/ambient.py"
 _DIRECT = "renderer/terms/direct.py"
 _SPECULAR = "renderer/terms/specular.py"
 _LIGHTS = "renderer/lights/__init__.py"
 _FACE = "renderer/lights/face.py"
+_SPOT = "renderer/lights/spot.py"
+_DIRECTIONAL = "renderer/lights/directional.py"
+_SUN = "renderer/lights/sun.py"
+_DISTANT = "renderer/lights/distant.py"
 _ARRIVING = "renderer/lights/arriving.py"
 _LOBE = "renderer/microfacet.py"
 _TRACING = "renderer/photon_tracing.py"
@@ -585,6 +596,78 @@ PLANTS = (
         "renderer/film.py",
         "min(last, _first_of(hit + 1, split))",
         "min(last, _first_of(hit + 1, split) - split // 2)",
+    ),
+    # Spot, directional light and sun.
+    Plant(
+        "spot: falloff squared",
+        SPOT,
+        _SPOT,
+        "return (cutoff - angle) / (cutoff - beam)",
+        "return ((cutoff - angle) / (cutoff - beam)) ** 2",
+    ),
+    Plant("spot: no falloff", SPOT, _SPOT, "if angle <= beam:", "if angle < cutoff:"),
+    Plant(
+        "spot: photons over the sphere",
+        SPOT_PHOTONS,
+        _SPOT,
+        "square_to_uniform_cone(way[0], way[1], cosine)",
+        "square_to_uniform_cone(way[0], way[1], -1.0)",
+    ),
+    Plant(
+        "spot: all photons alike",
+        SPOT_PHOTONS,
+        _SPOT,
+        "falloff(scene, row, direction) * solid_angle / probability",
+        "solid_angle / probability",
+    ),
+    Plant(
+        "directional: cosine forgotten",
+        DIRECTIONAL,
+        _DIRECTIONAL,
+        "scale(vec3(directionals.irradiance, row), cosine * INV_PI / probability)",
+        "scale(vec3(directionals.irradiance, row), INV_PI / probability)",
+    ),
+    Plant(
+        "directional: photons of the floor's irradiance",
+        DIRECTIONAL_PHOTONS,
+        _DIRECTIONAL,
+        "math.pi * ball.radius * ball.radius / probability",
+        "math.pi * ball.radius * ball.radius * abs(heading.z) / probability",
+    ),
+    Plant(
+        "distant light: shadow rays that end in the scene",
+        DIRECTIONAL,
+        _DISTANT,
+        "scale(direction, 4.0 * ball.radius)",
+        "scale(direction, 0.05 * ball.radius)",
+    ),
+    Plant(
+        "distant light: photons through a square's share of the disc",
+        SUN_PHOTONS,
+        _DISTANT,
+        "Vec3(ball.radius * point.x, ball.radius * point.y, 0.0)",
+        "Vec3(0.9 * ball.radius * point.x, ball.radius * point.y, 0.0)",
+    ),
+    Plant(
+        "sun: irradiance for radiance times solid angle",
+        WIDE_SUN,
+        _SUN,
+        "(2.0 / (1.0 + np.cos(angle)))",
+        "(1.0 + 0.0 * angle)",
+    ),
+    Plant(
+        "sun: its diameter taken for the half of it",
+        WIDE_SUN,
+        _MODEL,
+        "return math.radians(self.angle) / 2.0",
+        "return math.radians(self.angle)",
+    ),
+    Plant(
+        "lights: one kind at the place of another",
+        ALL_LIGHTS,
+        _LIGHTS,
+        "POINT, FACE, SPOT, DIRECTIONAL, SUN = range(len(KINDS))",
+        "POINT, FACE, SPOT, SUN, DIRECTIONAL = range(len(KINDS))",
     ),
     # Sky and camera.
     Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),

@@ -58,6 +58,23 @@ def _lamps(scene: Scene) -> Scene:
     )
 
 
+def _only(kind: str) -> Callable[[Scene], Scene]:
+    """Leave no light but those of a kind."""
+
+    def change(scene: Scene) -> Scene:
+        dark = (attrs.evolve(thing, emission=(0.0, 0.0, 0.0)) for thing in scene.objects)
+        lights = tuple(light for light in scene.lights if light.kind == kind)
+        return attrs.evolve(scene, objects=tuple(dark), lights=lights)
+
+    return change
+
+
+def _wide(scene: Scene) -> Scene:
+    """A sun of 60 degrees."""
+    lights = (attrs.evolve(light, angle=60.0) if light.kind == "sun" else light for light in scene.lights)
+    return attrs.evolve(scene, lights=tuple(lights))
+
+
 _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "glossy": _material(gloss=0.5, roughness=0.6, f0=(0.04, 0.04, 0.04)),
     "metal": _material(gloss=0.7, roughness=0.5, f0=(0.9, 0.9, 0.9)),
@@ -65,6 +82,10 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "turned": _first(_turned),
     "smooth": _smooth,
     "lamps": _lamps,
+    "spot": _only("spot"),
+    "directional": _only("directional"),
+    "sun": _only("sun"),
+    "wide": _wide,
     "plain": lambda scene: attrs.evolve(scene, sky=Sky((0.5, 0.6, 0.8))),
     "panorama": lambda scene: attrs.evolve(scene, sky=attrs.evolve(scene.sky, projection="lat-long", radius=math.inf)),
     "shadowed": lambda scene: attrs.evolve(scene, shadows="paper"),
@@ -82,8 +103,9 @@ class Case:
     ----------
     scene : a library scene, before its name words of what is changed: `glossy`, `metal` and `faint` are lobes of all
         surfaces, `turned`: the first object's faces look the other way, `smooth`: vertex normals, `lamps`: more
-        lights, `plain` and `panorama`: another sky, `shadowed` and `bright`: choices of the paper, `drawn`: lights are
-        seen, `sharp`: another kernel of photons.
+        lights, `spot`, `directional`, `sun`: of all lights those alone, `wide`: a wide sun, `plain` and `panorama`:
+        another sky, `shadowed` and `bright`: choices of the paper, `drawn`: lights are seen, `sharp`: another kernel of
+        photons.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.

@@ -17,6 +17,7 @@ coordinates with the vectors used here are exact: what differs is the renderer's
 """
 
 import functools
+from collections.abc import Callable
 
 import attrs
 import numpy as np
@@ -30,7 +31,7 @@ from termwise.reports import cli
 from termwise.reports.results.exr import read_exr
 from termwise.scenes.analytic import closed_box
 from termwise.scenes.load import library, load
-from termwise.scenes.model import Color, Mesh, Object, PointLight, Scene, Vector
+from termwise.scenes.model import Color, Light, Mesh, Object, Scene, SunLight, Vector
 from termwise.scenes.terms import TERMS, Term, total
 from tests.scenes import small
 
@@ -53,6 +54,14 @@ def vector(values: np.ndarray) -> Vector:
     return x, y, z
 
 
+PLACES = "position", "target"
+
+
+def changed(light: Light, change: Callable[[Vector], Vector], *fields: str) -> Light:
+    """A light with those of the fields changed that it has."""
+    return attrs.evolve(light, **{name: change(getattr(light, name)) for name in fields if hasattr(light, name)})
+
+
 @functools.cache
 def scenes(side: int = 16) -> dict[str, Scene]:
     """The library, small and on the lattice; the paper's choices and full scattering besides."""
@@ -70,7 +79,7 @@ def scenes(side: int = 16) -> dict[str, Scene]:
                 attrs.evolve(thing, mesh=attrs.evolve(thing.mesh, vertices=on_lattice(thing.mesh.vertices)))
                 for thing in scene.objects
             ),
-            lights=tuple(attrs.evolve(light, position=vector(on_lattice(light.position))) for light in scene.lights),
+            lights=tuple(changed(light, lambda point: vector(on_lattice(point)), *PLACES) for light in scene.lights),
             photons=attrs.evolve(scene.photons, count=2000),
             resolution=(side, side),
         )
@@ -105,7 +114,7 @@ def brighter(scene: Scene, factor: float) -> Scene:
     return attrs.evolve(
         scene,
         objects=tuple(attrs.evolve(thing, emission=times(thing.emission)) for thing in scene.objects),
-        lights=tuple(attrs.evolve(light, intensity=times(light.intensity)) for light in scene.lights),
+        lights=tuple(changed(light, times, light.sends) for light in scene.lights),
         ambient=attrs.evolve(scene.ambient, color=times(scene.ambient.color)),
         sky=attrs.evolve(
             scene.sky, color=times(scene.sky.color), texture=None if texture is None else texture * np.float32(factor)
@@ -128,6 +137,11 @@ def transformed(
         assert (after.vertices == after.vertices.astype(np.float32)).all(), "the transform is not exact"
         return after
 
+    def light(before: Light) -> Light:
+        after = changed(before, lambda point: vector(moved(point)), *PLACES)
+        after = changed(after, lambda way: vector(turned @ np.array(way)), "direction")
+        return changed(after, lambda sent: vector(scale**2 * np.array(sent)), "intensity")
+
     camera, sky = scene.camera, scene.sky
     position, target = (vector(moved(point)) for point in (camera.position, camera.target))
     texture = sky.texture
@@ -137,10 +151,7 @@ def transformed(
         scene,
         camera=attrs.evolve(camera, position=position, target=target, up=vector(turned @ np.array(camera.up))),
         objects=tuple(attrs.evolve(thing, mesh=mesh(thing.mesh)) for thing in scene.objects),
-        lights=tuple(
-            PointLight(vector(moved(light.position)), vector(scale**2 * np.array(light.intensity)))
-            for light in scene.lights
-        ),
+        lights=tuple(map(light, scene.lights)),
         ambient=attrs.evolve(scene.ambient, range=scene.ambient.range * scale),
         sky=attrs.evolve(sky, texture=texture, center=vector(moved(sky.center)), radius=sky.radius * scale),
         photons=attrs.evolve(scene.photons, radius=scene.photons.radius * scale),
@@ -244,7 +255,12 @@ def test_turned_to_rounding(term: Term, turn: str):
     variant = {"ambient": "constant", "direct": "next-event", "background": "seen"}[term]
     compared = 0
     for scene in suitable(term, variant):
-        scene = attrs.evolve(scene, scope="first-hit", photons=attrs.evolve(scene.photons, scattering="diffuse"))
+        scene = attrs.evolve(
+            scene,
+            scope="first-hit",
+            photons=attrs.evolve(scene.photons, scattering="diffuse"),
+            lights=tuple(each for each in scene.lights if not isinstance(each, SunLight)),  # drawn about its middle
+        )
         if term == "background" and turn == "axes permuted" and scene.sky.texture is not None:
             continue
         image = rendered(scene, term, variant)

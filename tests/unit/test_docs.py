@@ -16,7 +16,7 @@ import pytest
 import termwise
 from termwise.reports import cli
 from termwise.scenes import load
-from termwise.scenes.model import Ambient, Camera, Photons, PointLight, Toggles
+from termwise.scenes.model import LIGHTS, Ambient, Camera, Photons, Toggles
 from termwise.scenes.store import ROOT
 
 README = ROOT / "README.md"
@@ -173,7 +173,8 @@ def test_every_field_of_a_scene_file_is_in_the_manual():
     placed = {field.name for field in attrs.fields(load._Placed)}
     kinds = {"camera": Camera, "ambient": Ambient, "sky": load._SkyFile, "photons": Photons, "toggles": Toggles}
     paths = {f"{name}.{field.name}" for name, kind in kinds.items() for field in attrs.fields(kind)}
-    paths |= {f"lights.{field.name}" for field in attrs.fields(PointLight)} | {f"objects.{name}" for name in placed}
+    paths |= {f"lights.{field.name}" for kind in LIGHTS.values() for field in attrs.fields(kind)}
+    paths |= {"lights.kind", *(f"objects.{name}" for name in placed)}
     paths |= {field.name for field in attrs.fields(load._SceneFile)} - {*kinds, "lights", "objects"} | shapes - placed
     assert len(paths) > 50
     assert {path for path in paths if f"`{path}`" not in text} == set()

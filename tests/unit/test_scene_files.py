@@ -22,6 +22,7 @@ from termwise.scenes.strict import FileError
 CAMERA = "[camera]\nposition = [0.0, -3.0, 1.0]\ntarget = [0.0, 0.0, 0.0]\n"
 OBJECT = '[[objects]]\nname = "a"\nshape = "box"\nsize = [1.0, 1.0, 1.0]\n'
 GOOD = CAMERA + OBJECT
+SPOT = '[[lights]]\nkind = "spot"\nposition = [0, 0, 1]\nintensity = [1, 1, 1]\ntarget = {}\n{}\n'
 
 
 def write(folder: Path, text: str) -> Path:
@@ -106,6 +107,39 @@ BAD = {
     "light of negative intensity": (
         GOOD + "[[lights]]\nposition = [0.0, 0.0, 1.0]\nintensity = [-1.0, 0.0, 0.0]\n",
         ["lights", "intensity = (-1.0, 0.0, 0.0)", "[0, inf)"],
+    ),
+    "kind of light": (
+        GOOD + '[[lights]]\nkind = "laser"\nposition = [0.0, 0.0, 1.0]\n',
+        ["lights[0]", "kind = 'laser'", "point, spot, directional, sun"],
+    ),
+    "light that is a number": (GOOD + "[[lights]]\nkind = 1\n", ["lights[0]", "kind = 1", "point, spot"]),
+    "spot without a direction": (
+        GOOD + SPOT.format("[0, 0, 1]", "cutoff = 20"),
+        ["lights[0]", "target = (0.0, 0.0, 1.0)", "other than position"],
+    ),
+    "beam beyond the cutoff": (
+        GOOD + SPOT.format("[0, 0, 0]", "cutoff = 20\nbeam = 21"),
+        ["lights[0]", "beam = 21.0", "[0, cutoff]", "cutoff = 20.0"],
+    ),
+    "cutoff of more than a half space": (
+        GOOD + SPOT.format("[0, 0, 0]", "cutoff = 91"),
+        ["lights[0]", "cutoff = 91.0", "[0.01, 90]"],
+    ),
+    "spot with a direction": (
+        GOOD + SPOT.format("[0, 0, 0]", "direction = [0, 0, 1]"),
+        ["lights[0].direction", "unknown key", "cutoff"],
+    ),
+    "light along nothing": (
+        GOOD + '[[lights]]\nkind = "directional"\ndirection = [0, 0, 0]\nirradiance = [1, 1, 1]\n',
+        ["lights[0]", "direction = (0.0, 0.0, 0.0)", "a vector other than 0"],
+    ),
+    "sun wider than the sky": (
+        GOOD + '[[lights]]\nkind = "sun"\ndirection = [0, 0, -1]\nirradiance = [1, 1, 1]\nangle = 181\n',
+        ["lights[0]", "angle = 181.0", "[0.001, 180]"],
+    ),
+    "the paper's shadow of a light that is nowhere": (
+        'shadows = "paper"\n' + GOOD + '[[lights]]\nkind = "sun"\ndirection = [0, 0, -1]\nirradiance = [1, 1, 1]\n',
+        ["lights[0]", "kind = 'sun'", "shadows = 'paper'", "point, spot"],
     ),
     "light without intensity": (GOOD + "[[lights]]\nposition = [0.0, 0.0, 1.0]\n", ["lights", "intensity", "missing"]),
     "mesh that is missing": (mesh_object("none.ply"), ["file = 'none.ply'", "no such file"]),
@@ -236,7 +270,7 @@ def test_library_loads(name):
 
 def test_the_names_of_the_library():
     """Their names are the product's vocabulary."""
-    assert library() == ("cornell_box", "cornell_box_unshadowed", "monkey", "smooth_monkey", "two_cubes")
+    assert library() == ("cornell_box", "cornell_box_unshadowed", "lights", "monkey", "smooth_monkey", "two_cubes")
 
 
 def test_the_two_boxes_differ_in_scope_alone():

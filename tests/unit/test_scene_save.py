@@ -8,7 +8,21 @@ import pytest
 
 from termwise.scenes import analytic
 from termwise.scenes.load import library, load
-from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Sky, Toggles
+from termwise.scenes.model import (
+    Ambient,
+    Camera,
+    DirectionalLight,
+    Material,
+    Mesh,
+    Object,
+    Photons,
+    PointLight,
+    Scene,
+    Sky,
+    SpotLight,
+    SunLight,
+    Toggles,
+)
 from termwise.scenes.save import save
 
 
@@ -21,7 +35,10 @@ def everything() -> Scene:
         "all",
         Camera((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.0, 1.0, 0.0), 33.3, 0.01, "corner"),
         (ball, shard),
-        (PointLight((1.5, 2.5, 3.5), (9.0, 8.0, 7.0)),),
+        (
+            PointLight((1.5, 2.5, 3.5), (9.0, 8.0, 7.0)),
+            SpotLight((1.5, 2.5, 3.5), (0.5, 0.25, 0.125), (9.0, 8.0, 7.0), 33.0, 0.0),
+        ),
         Ambient((0.3, 0.2, 0.1), 4.5),
         Sky(texture=np.random.default_rng(2).random((3, 5, 3), np.float32), radius=math.inf, projection="lat-long"),
         Photons(7, 0.125, 9, "uniform", 0.5, "full"),
@@ -43,6 +60,15 @@ def everything() -> Scene:
 SCENES = {
     **{name: load(name) for name in library()},
     "everything": everything(),
+    "distant lights": attrs.evolve(
+        load("two_cubes"),
+        lights=(
+            DirectionalLight((0.1, 0.2, -0.3), (3.0, 2.0, 1.0)),
+            SunLight((0.1, 0.2, -0.3), (3.0, 2.0, 1.0)),
+            SunLight((0.1, 0.2, -0.3), (3.0, 2.0, 1.0), 7.25),
+            SpotLight((0.1, 0.2, 0.3), (3.0, 2.0, 1.0), (1.0, 1.0, 1.0)),
+        ),
+    ),
     "empty": Scene("empty", Camera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
     "constant sky": analytic.furnace(roughness=0.3, mu_o=0.5),
 }

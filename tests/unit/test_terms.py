@@ -22,7 +22,7 @@ from termwise.reports.jobs import cells
 from termwise.scenes import reads, terms
 from termwise.scenes.limits import Limit, correct, physical
 from termwise.scenes.load import load
-from termwise.scenes.model import Material, PointLight, Scene
+from termwise.scenes.model import DirectionalLight, Material, PointLight, Scene, SpotLight, SunLight
 from termwise.scenes.terms import TABLE, TERMS, total
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -31,8 +31,13 @@ PROJECT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """With a thing of each class of the model."""
-    lamp = PointLight((0.0, 0.0, 3.0), (1.0, 1.0, 1.0))
-    return attrs.evolve(load("two_cubes"), lights=(lamp,), resolution=(4, 4))
+    lights = (
+        PointLight((0.0, 0.0, 3.0), (1.0, 1.0, 1.0)),
+        SpotLight((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+        DirectionalLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0)),
+        SunLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0)),
+    )
+    return attrs.evolve(load("two_cubes"), lights=lights, resolution=(4, 4))
 
 
 @pytest.fixture(autouse=True)
@@ -184,6 +189,21 @@ TOUCHED = [
 ]
 
 
+@pytest.mark.parametrize("kind", [DirectionalLight, SunLight, SpotLight])
+def test_each_field_of_a_light_touches_what_lights_touch(kind: type, scene: Scene):
+    """And nothing else: direct, and specular through it."""
+    (light,) = (each for each in scene.lights if type(each) is kind)
+    for field in attrs.fields(kind):
+        value = getattr(light, field.name)
+        other = 5.0 if isinstance(value, float | None) else (0.5, 0.25, -2.0 if "direction" in field.name else 2.0)
+        before, after = (
+            keys(attrs.evolve(scene, lights=(each,))) for each in (light, attrs.evolve(light, **{field.name: other}))
+        )
+        touched = {name for name, key in after.items() if key != before[name]}
+        assert {"our direct", "our specular", "Mitsuba's direct", "Mitsuba's specular"} <= touched, field.name
+        assert not {"our ambient", "our background", "Mitsuba's ambient", "Mitsuba's background"} & touched, field.name
+
+
 @pytest.mark.parametrize(("path", "value", "base", "ours", "theirs"), TOUCHED)
 def test_keys_are_no_finer_than_the_images(path: str, value: Any, base: dict, ours: str, theirs: str | None):
     """Each field touches what it decides and nothing else, chains of specular with photon maps."""
@@ -211,7 +231,7 @@ def test_keys_are_no_finer_than_the_images(path: str, value: Any, base: dict, ou
 
 def test_the_papers_shadow_makes_lights_decide_on_ambient_light(scene: Scene):
     """By the limit, whatever the scene says: a variant without the rule is compared with the one with it."""
-    moved = attrs.evolve(scene, lights=(PointLight((9.0, 0.0, 3.0), (1.0, 1.0, 1.0)),))
+    scene, moved = (attrs.evolve(scene, lights=(PointLight((x, 0.0, 3.0), (1.0, 1.0, 1.0)),)) for x in (0.0, 9.0))
     for limit, same in ((Limit("ambient"), True), (Limit("ambient", shadows="paper"), False)):
         assert (store.key(scene, limit, spp=4, seed=1) == store.key(moved, limit, spp=4, seed=1)) == same
 

@@ -1,0 +1,169 @@
+"""Lights: what spot, directional light and sun send at the ends of their ranges is what their formulas say.
+
+A spot light has an angle of a float64's digits whatever its width and the scale of the scene; a sun has the irradiance
+of its projected disc, `L pi sin² a cos t`, and `L (a - sin a cos a)` on the horizon; photons carry the power, begin
+outside of the scene, and shadow rays end there.
+
+What is to be expected: the paper shows no such lights. Mitsuba takes a spot light's angle from its cosine in float32.
+"""
+
+import functools
+import math
+from collections.abc import Iterator
+
+import attrs
+import numpy as np
+from scipy import stats
+
+from termwise.renderer.arrays import SceneArrays, from_scene
+from termwise.renderer.lights import directional, spot, sun
+from termwise.renderer.lights.distant import ball_of, before, out_of
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3
+from termwise.reports.stress.row import Row
+from termwise.scenes.analytic import plate
+from termwise.scenes.model import Camera, DirectionalLight, Scene, SpotLight, SunLight, Vector
+
+_EPS = 2.0**-52
+_SPOTS = ((0.0, 90.0), (89.999, 90.0), (0.0, 0.01), (20.0, 20.0), (19.999999, 20.0))
+_SCALES = (1e-6, 1.0, 1e6)
+_OFFSETS = (0.0, 1e5)
+_SUNS = (1e-3, 0.533, 60.0, 180.0)
+_UP = Vec3(0.0, 0.0, 1.0)
+
+
+@functools.lru_cache(maxsize=4)
+def _lit(
+    spot_light: SpotLight, sun_light: SunLight, way: Vector, scale: float = 1.0, offset: float = 0.0
+) -> SceneArrays:
+    """A plate with a light of each kind: one type for all rows, hence one compilation."""
+    corner = (offset - 3.0 * scale, offset - 3.0 * scale, offset)
+    floor = plate("floor", corner, (6.0 * scale, 0.0, 0.0), (0.0, 6.0 * scale, 0.0))
+    camera = Camera((offset, offset - scale, offset + scale), (offset, offset, offset))
+    lights = (spot_light, DirectionalLight(way, (1.0, 1.0, 1.0)), sun_light)
+    return from_scene(Scene("lights", camera, (floor,), lights))
+
+
+_SPOT = SpotLight((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+_SUN = SunLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0))
+_DOWN = (0.0, 0.0, -1.0)
+
+
+def _at(x: float, y: float, z: float) -> Surface:
+    return Surface(Vec3(x, y, z), _UP, _UP, 0, 0, 1.0, 0.0, 0.0)
+
+
+def spots(count: int) -> Iterator[Row]:
+    """The share of the intensity, times the width of the slope: by long doubles."""
+    for beam, cutoff in _SPOTS:
+        for scale in _SCALES:
+
+            def wrong(beam: float = beam, cutoff: float = cutoff, scale: float = scale) -> float:
+                light = SpotLight((0.0, 0.0, scale), (0.25 * scale, 0.0, 0.0), (1.0, 1.0, 1.0), cutoff, beam)
+                arrays = _lit(light, _SUN, _DOWN, scale)
+                inner, outer = map(np.longdouble, light.angles)
+                share = np.linspace(0.0, 1.25, 26)
+                x = scale * np.tan(np.minimum(math.atan(0.25) + share * min(light.angles[1], 1.0), 1.5))
+                found = [
+                    math.pi * spot.sample(arrays, 0, 1.0, _at(each, 0.0, 0.0), 0.0, 0.0)[0].x for each in x.tolist()
+                ]
+                along, height = x.astype(np.longdouble), np.longdouble(scale)
+                away = np.abs(np.arctan2(along, height) - np.arctan2(np.longdouble(0.25) * height, height))
+                width = outer - inner
+                slope = np.clip((outer - away) / width, 0.0, 1.0) if width > 0 else (away < outer) * np.longdouble(1.0)
+                right = slope * height / np.sqrt(along * along + height * height) ** 3
+                error = np.abs(np.array(found) - right) * (width if width > 0 else 1.0) * height**2
+                # Where there is no slope, an angle that is the edge's to its rounding lies on either side of it.
+                error = error[np.abs(away - outer) > 8 * _EPS] if width == 0 else error
+                worst = float(error.max())
+                return worst / _EPS
+
+            yield Row(f"spot {beam} to {cutoff} degrees, scale {scale:g}", "error in units of 2^-52", 16.0, wrong)
+
+
+def suns(count: int) -> Iterator[Row]:
+    """Irradiance by evenly spread points, whose error falls as one over their number, as it may on a smooth disc."""
+    points = stats.qmc.Sobol(2, seed=1).random(1 << (count - 1).bit_length()).tolist()
+    for angle in _SUNS:
+        half = math.radians(angle) / 2.0
+        radiance = 1.0 / (math.pi * math.sin(half) ** 2)
+        on_horizon = radiance * (half - math.sin(half) * math.cos(half))
+        cases = {"overhead": (_DOWN, 1.0), "on the horizon": ((1.0, 0.0, 0.0), on_horizon)}
+        if half < 0.7:
+            cases["45 degrees up"] = ((1.0, 0.0, -1.0), math.sqrt(0.5))
+        for where, (way, right) in cases.items():
+
+            def wrong(angle: float = angle, way: Vector = way, right: float = right) -> float:
+                arrays = _lit(_SPOT, SunLight(way, (1.0, 1.0, 1.0), angle), _DOWN)
+                surface = _at(0.0, 0.0, 0.0)
+                found = math.pi * np.mean([sun.sample(arrays, 0, 1.0, surface, u, v)[0].x for u, v in points])
+                return abs(float(found) / right - 1.0)
+
+            yield Row(f"sun of {angle:g} degrees {where}", "relative error", 1.0 / len(points), wrong)
+
+
+def grazing(count: int) -> Iterator[Row]:
+    """A directional light along a surface: its cosine is that of the direction, to the rounding of unit vectors."""
+    for cosine in (1.0, 1e-4, 1e-8, 0.0, -1e-8):
+
+        def wrong(cosine: float = cosine) -> float:
+            arrays = _lit(_SPOT, _SUN, (math.sqrt(1.0 - cosine * cosine), 0.0, -cosine))
+            found = math.pi * directional.sample(arrays, 0, 1.0, _at(0.0, 0.0, 0.0), 0.0, 0.0)[0].x
+            return abs(found - max(cosine, 0.0)) / max(abs(cosine), 1e-300) / _EPS
+
+        yield Row(f"directional light of cosine {cosine:g}", "relative error in units of 2^-52", 4.0, wrong)
+
+
+def outside(count: int) -> Iterator[Row]:
+    """Shadow rays to distant light end beyond all surfaces, its photons begin before them, at any place and scale."""
+    rng = np.random.default_rng(1)
+    ways = rng.normal(size=(count, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    numbers = rng.random((count, 5))
+    for scale in _SCALES:
+        for offset in _OFFSETS:
+
+            def inside(scale: float = scale, offset: float = offset * scale) -> float:
+                low, high = np.array([offset, -offset, 0.0]), np.array([offset, -offset, 0.0]) + scale
+                thing = plate("plate", tuple(low), (scale, 0.0, 0.0), (0.0, scale, scale))
+                ball = ball_of(Scene("ball", Camera((0.0, -scale, 3.0 * scale), (0.0, 0.0, 0.0)), (thing,)))
+                bad = 0
+                for way, (u, v, *place) in zip(ways, numbers, strict=True):
+                    direction = Vec3(*way.tolist())
+                    point = low + np.array(place) * (high - low)
+                    end = point + np.array(out_of(ball, direction))
+                    begin = np.array(before(ball, direction, u, v))
+                    # Beyond the plane that touches the box on that side, and before that on the other.
+                    corners = np.where([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], high, low) @ way
+                    bad += not (end @ way > corners.max() and begin @ way < corners.min())
+                return float(bad)
+
+            yield Row(
+                f"distant light, scale {scale:g}, offset {offset:g}", "rays that end or begin inside", 0.0, inside
+            )
+
+
+def powers(count: int) -> Iterator[Row]:
+    """The mean of the photons is the power that the light is picked by."""
+    points = stats.qmc.Sobol(4, seed=1).random(1 << (count - 1).bit_length()).tolist()
+    for kind in (spot, directional, sun):
+        for scale in _SCALES:
+
+            def wrong(kind=kind, scale: float = scale) -> float:
+                light = attrs.evolve(_SPOT, position=(0.0, 0.0, scale))
+                arrays = _lit(light, attrs.evolve(_SUN, angle=60.0), _DOWN, scale)
+                held = {
+                    spot: arrays.emitters.spots,
+                    directional: arrays.emitters.directionals,
+                    sun: arrays.emitters.suns,
+                }
+                flux = np.mean([kind.emit(arrays, 0, 1.0, False, (a, b), (c, d))[2].x for a, b, c, d in points])
+                return abs(float(flux / kind.power(held[kind], False)[0]) - 1.0)
+
+            yield Row(f"photons of {kind.SOURCE.kind}, scale {scale:g}", "relative error", 1.0 / len(points), wrong)
+
+
+def rows(count: int) -> Iterator[Row]:
+    """All rows of the group."""
+    for make in (spots, suns, grazing, outside, powers):
+        yield from make(count)

@@ -1,0 +1,207 @@
+"""Spot, directional light and sun: what each sends to a surface, and that its photons carry just that.
+
+Rationale: irradiance has a closed form, or is a quadrature over the light that shares no code with the sampler. Power
+and photons are held against the integral of that irradiance, by points of a lattice, which is a sum that converges.
+"""
+
+import math
+from typing import Any
+
+import attrs
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from termwise import renderer
+from termwise.renderer.arrays import from_scene
+from termwise.renderer.lights import bound, directional, emit_photon, emitters_of, sample_light, spot, sun
+from termwise.renderer.plan import needs_every_pixel
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3
+from termwise.scenes.analytic import plate
+from termwise.scenes.load import library, load
+from termwise.scenes.model import Camera, DirectionalLight, Material, Scene, Sky, SpotLight, SunLight, Vector
+
+FLOOR = plate("floor", (-3.0, -3.0, 0.0), (6.0, 0.0, 0.0), (0.0, 6.0, 0.0), Material((0.5, 0.5, 0.5)))
+SPOT = SpotLight((0.5, 0.25, 2.0), (0.25, 0.0, 0.0), (3.0, 2.0, 1.0), cutoff=35.0, beam=15.0)
+DIRECTIONAL = DirectionalLight((0.2, 0.1, -0.5), (3.0, 2.0, 1.0))
+SUN = SunLight((0.2, 0.1, -0.5), (3.0, 2.0, 1.0), angle=40.0)
+KINDS = {"spot": (SPOT, spot), "directional": (DIRECTIONAL, directional), "sun": (SUN, sun)}
+
+
+def lit_by(*lights: Any, **changes: Any) -> Scene:
+    camera = Camera((0.0, -4.0, 3.0), (0.0, 0.0, 0.0), fov=20.0)
+    return attrs.evolve(Scene("lit", camera, (FLOOR,), lights, resolution=(2, 2), scope="first-hit"), **changes)
+
+
+def at(x: float, y: float, normal: Vector = (0.0, 0.0, 1.0)) -> Surface:
+    return Surface(Vec3(x, y, 0.0), Vec3(*normal), Vec3(*normal), 0, 0, 1.0, 0.0, 0.0)
+
+
+def lattice(side: int, dimensions: int) -> np.ndarray:
+    """Points of the unit cube, evenly spread, (side², dimensions)."""
+    return stats.qmc.Halton(dimensions, seed=1).random(side * side)
+
+
+def irradiance(scene: Scene, surface: Surface, points: np.ndarray) -> np.ndarray:
+    """Mean of E over samples, (3,)."""
+    arrays = from_scene(scene)
+    return math.pi * np.mean([sample_light(arrays, surface, u, v)[0] for u, v in points], axis=0)
+
+
+def by_spot(light: SpotLight, point: np.ndarray) -> np.ndarray:
+    """E on the floor, (..., 3): I cos / d², times the falloff."""
+    way = point - np.array(light.position)
+    distance = np.linalg.norm(way, axis=-1)
+    axis = np.subtract(light.target, light.position)
+    angle = np.degrees(np.arccos(way @ axis / (distance * np.linalg.norm(axis))))
+    assert light.beam is not None
+    share = np.clip((light.cutoff - angle) / (light.cutoff - light.beam), 0.0, 1.0)
+    return (share * -way[..., 2] / distance**3)[..., None] * np.array(light.intensity)
+
+
+def test_spot_falls_off_linearly_in_the_angle():
+    """In the beam, on the slope, and beyond the cutoff."""
+    points = np.array([[0.3, 0.0, 0.0], [1.1, 0.6, 0.0], [-0.5, -0.4, 0.0], [2.4, 0.0, 0.0]])
+    expected = by_spot(SPOT, points)
+    shares = expected / by_spot(attrs.evolve(SPOT, cutoff=90.0, beam=89.0), points)
+    assert shares[0] == pytest.approx(1.0)
+    assert ((shares[1:3] > 0.1) & (shares[1:3] < 0.9)).all()
+    assert not shares[3].any()
+    for (x, y, _), e in zip(points.tolist(), expected, strict=True):
+        np.testing.assert_allclose(irradiance(lit_by(SPOT), at(x, y), np.array([[0.5, 0.5]])), e, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("beam", "cutoff"), [(15.0, 35.0), (0.0, 90.0), (30.0, 30.0), (29.999999, 30.0), (0.0, 0.01)])
+def test_power_of_a_spot(beam: float, cutoff: float):
+    """`∫ I(t) 2 pi sin t dt`, and the mean of the photons."""
+    light = attrs.evolve(SPOT, beam=beam, cutoff=cutoff)
+    b, c = math.radians(beam), math.radians(cutoff)
+
+    def radiated(t: float) -> float:
+        return (1.0 if t <= b else (c - t) / (c - b)) * math.sin(t)
+
+    integral = sum(integrate.quad(radiated, *ends, epsabs=0.0)[0] for ends in ((0.0, b), (b, c)) if ends[0] < ends[1])
+    emitters = emitters_of(lit_by(light))
+    assert emitters.spots is not None
+    assert spot.power(emitters.spots, False)[0] == pytest.approx(2.0 * 2.0 * math.pi * integral, rel=1e-8)
+    arrays = from_scene(lit_by(light))
+    u = (np.arange(400) + 0.5) / 400
+    flux = np.mean([emit_photon(arrays, False, (0.5, 0.5), (each, 0.3))[2] for each in u], axis=0)
+    assert flux.mean() == pytest.approx(2.0 * 2.0 * math.pi * integral, rel=1e-4)
+
+
+def disc_by_quadrature(light: SunLight, normal: np.ndarray) -> np.ndarray:
+    """`L ∫ max(0, n·w) dw` over the disc, by its rings: a Riemann sum, (3,)."""
+    steps = 2000
+    angle = (np.arange(steps) + 0.5) / steps * light.half_angle
+    azimuth = (np.arange(steps) + 0.5) / steps * 2.0 * math.pi
+    middle = -np.array(light.way)
+    aside = np.linalg.svd(middle[None])[2][1:]
+    across = np.cos(azimuth)[:, None] * aside[0] + np.sin(azimuth)[:, None] * aside[1]
+    cosine = np.cos(angle)[:, None] * (middle @ normal) + np.sin(angle)[:, None] * (across @ normal)
+    rings = np.maximum(cosine, 0.0).mean(axis=1) * 2.0 * math.pi * np.sin(angle)
+    return np.array(light.radiance) * rings.sum() * light.half_angle / steps
+
+
+@pytest.mark.parametrize("angle", [1e-3, 0.533, 40.0, 120.0])
+def test_all_of_a_sun_is_its_irradiance_times_the_cosine(angle: float, compiled):
+    """`L pi sin² a cos t`: a disc's projection, however wide it is; facing it, `irradiance`."""
+    points = lattice(64 if compiled else 24, 2)
+    light = attrs.evolve(SUN, angle=angle)
+    for normal in (-np.array(light.way), np.array([0.0, 0.0, 1.0])):
+        cosine = float(-np.array(light.way) @ normal)
+        if math.acos(min(cosine, 1.0)) + light.half_angle < math.pi / 2:
+            found = irradiance(lit_by(light), at(0.0, 0.0, tuple(normal.tolist())), points)
+            np.testing.assert_allclose(found, cosine * np.array(light.irradiance), rtol=5e-3)
+
+
+@pytest.mark.parametrize("height", [-15.0, -5.0, 0.0, 10.0])
+def test_a_sun_on_the_horizon(height: float, compiled):
+    """Partly below: by quadrature. `bound` is 0 where all of it is, and only there."""
+    slope = math.radians(height)
+    light = attrs.evolve(SUN, direction=(math.cos(slope), 0.0, -math.sin(slope)))
+    scene = lit_by(light)
+    expected = disc_by_quadrature(light, np.array([0.0, 0.0, 1.0]))
+    assert expected.all()
+    found = irradiance(scene, at(0.0, 0.0), lattice(96 if compiled else 40, 2))
+    np.testing.assert_allclose(found, expected, rtol=0.02, atol=1e-3)
+    assert bound(from_scene(scene), at(0.0, 0.0), 0) > 0.0
+    below = attrs.evolve(light, direction=(math.cos(-0.36), 0.0, -math.sin(-0.36)))  # 20.6 degrees
+    assert bound(from_scene(lit_by(below)), at(0.0, 0.0), 0) == 0.0
+    assert not irradiance(lit_by(below), at(0.0, 0.0), lattice(8, 2)).any()
+
+
+def test_a_small_sun_is_a_directional_light():
+    narrow = attrs.evolve(SUN, angle=1e-3)
+    theirs = irradiance(lit_by(DIRECTIONAL), at(0.0, 0.0), np.array([[0.5, 0.5]]))
+    np.testing.assert_allclose(irradiance(lit_by(narrow), at(0.0, 0.0), lattice(4, 2)), theirs, rtol=1e-4)
+    cosine = 0.5 / math.sqrt(0.2**2 + 0.1**2 + 0.5**2)
+    np.testing.assert_allclose(theirs, cosine * np.array(DIRECTIONAL.irradiance), rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_photons_land_as_irradiance(kind: str, compiled):
+    """In a square of the floor lands `∫ E dA`; all of them together carry the power."""
+    light, module = KINDS[kind]
+    scene = lit_by(light)
+    arrays = from_scene(scene)
+    side, low, high = 96 if compiled else 64, -0.8, 1.2
+    photons = [emit_photon(arrays, False, (a, b), (c, d)) for a, b, c, d in lattice(side, 4)]
+    origin, way, flux = (np.array([photon[i] for photon in photons]) for i in range(3))
+    place = origin - (origin[:, 2] / way[:, 2])[:, None] * way
+    landed = (way[:, 2] < 0) & ((place[:, :2] > low) & (place[:, :2] < high)).all(axis=1)
+    x = low + (np.arange(200) + 0.5) / 200 * (high - low)
+    points = np.stack([*np.meshgrid(x, x), np.zeros((200, 200))], axis=-1)
+    if isinstance(light, SpotLight):
+        mean = by_spot(light, points).mean(axis=(0, 1))
+    else:
+        mean = np.array(light.irradiance) * -light.way[2]
+    np.testing.assert_allclose(flux[landed].sum(axis=0) / len(photons), mean * (high - low) ** 2, rtol=0.03)
+    arrays_of_kind = next(each for each in arrays.emitters[-3:] if each is not None)
+    assert flux.mean() == pytest.approx(module.power(arrays_of_kind, False)[0], rel=0.02)
+
+
+def test_distant_light_is_hidden_across_the_scene():
+    """By a screen at the other end of it, and not by one that lies behind the point."""
+    far = plate("far", (40.0, -9.0, 20.0), (0.0, 18.0, 0.0), (0.0, 0.0, 30.0))
+    light = DirectionalLight((-1.0, 0.0, -0.75), (1.0, 1.0, 1.0))
+    open_, hidden = (
+        renderer.render(lit_by(each, objects=(FLOOR, far)), "direct", samples=1).mean
+        for each in (attrs.evolve(light, direction=(1.0, 0.0, -0.75)), light)
+    )
+    np.testing.assert_allclose(open_, 0.5 / math.pi * 0.6, rtol=1e-12)
+    assert not hidden.any()
+
+
+def test_a_drawn_sun_stands_before_the_sky():
+    """Its radiance is added within half its diameter alone; the pixels beside all objects are not skipped."""
+    light = SunLight((0.0, -1.0, 0.0), (1.0, 0.5, 0.25), angle=20.0)
+    sky = (0.25, 0.25, 0.5)
+    for angle, shown in ((0.0, True), (9.9, True), (10.1, False), (180.0, False)):
+        target = (0.0, math.cos(math.radians(angle)), math.sin(math.radians(angle)))
+        camera = Camera((0.0, 0.0, 1.0), (target[0], target[1], 1.0 + target[2]), fov=0.01)
+        scene = lit_by(light, camera=camera, sky=Sky(sky), draw_lights=True)
+        expected = np.array(sky) + (np.array(light.radiance) if shown else 0.0)
+        np.testing.assert_allclose(
+            renderer.render(scene, "background", samples=1).mean, np.broadcast_to(expected, (2, 2, 3))
+        )
+        assert needs_every_pixel(scene, "background")
+        hidden = attrs.evolve(scene, draw_lights=False)
+        np.testing.assert_allclose(
+            renderer.render(hidden, "background", samples=1).mean, np.broadcast_to(sky, (2, 2, 3))
+        )
+        assert not needs_every_pixel(hidden, "background")
+
+
+def test_the_paper_scenes_have_nothing_of_it():
+    """What is None is left out of the kernels of a scene: its branches are not compiled."""
+    for name in library():
+        found = emitters_of(load(name))[-3:]
+        assert all(each is None for each in found) == (name != "lights")
+    assert all(
+        each is None
+        for each in emitters_of(
+            attrs.evolve(load("lights"), toggles=attrs.evolve(load("lights").toggles, lighting=False))
+        )[-3:]
+    )
