@@ -9,7 +9,6 @@ computes nothing.
 """
 
 import hashlib
-import json
 import math
 import os
 import platform
@@ -29,7 +28,6 @@ from termwise.reports.jobs.executors import Executor
 from termwise.reports.machine import processor, versions
 from termwise.reports.progress import Report
 from termwise.reports.results import schema as stored
-from termwise.reports.results.schema import plain
 from termwise.reports.rows import images, pilot
 from termwise.reports.rows.described import describe, work
 from termwise.reports.rows.looks import Group, Source, exact_group, jobs, of_case
@@ -41,7 +39,7 @@ from termwise.reports.study.geometry_audit import Finding
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import CHAIN, Subject, subjects
 from termwise.scenes.model import Scene
-from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
+from termwise.scenes.store import ROOT, cache_folder, sources_digest
 from termwise.scenes.terms import TERMS
 
 _CERTIFIED = "EQUIVALENT", "AS PREDICTED"
@@ -109,8 +107,7 @@ def measure(
         desk.close()
     # A page of an earlier run must not stand beside new results, should this one end here.
     (folder / "index.html").unlink(missing_ok=True)
-    text = json.dumps(plain(results), indent=1, allow_nan=False)
-    write_atomically(folder / "results.json", lambda path: path.write_text(text, "utf-8"))
+    stored.write(folder / stored.NAME, results)
     return results
 
 

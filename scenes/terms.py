@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 import PIL.Image
 
-from termwise.scenes import reads
+from termwise.scenes import reads, srgb
 from termwise.scenes.model import BLACK, Color, Material, Scene
 from termwise.scenes.reads import Read, read
 
@@ -278,9 +278,8 @@ class TermImage:
         height, width = self.mean.shape[:2]
         top = max(float(np.percentile(np.nan_to_num(self.mean), 99.0)), np.finfo(float).tiny)
         linear = np.clip(np.nan_to_num(self.mean) / top, 0.0, 1.0)
-        encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
         png = io.BytesIO()
-        PIL.Image.fromarray(np.rint(encoded * 255.0).astype(np.uint8)).save(png, "png")
+        PIL.Image.fromarray(np.rint(srgb.encoded(linear) * 255.0).astype(np.uint8)).save(png, "png")
         content = base64.b64encode(png.getvalue()).decode()
         wide = width * max(1, 256 // max(width, height))
         return (

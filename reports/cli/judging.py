@@ -1,6 +1,5 @@
 """The verdict on the images of any renderer: judge."""
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -186,9 +185,9 @@ def judge(
     if json_:
         found: dict[str, Any] = {"status": status, "require": require, "page": str(index)}
         if many:
-            print(json.dumps(found | {"cases": suites.rows(outcomes, folder)}))
+            terminal.say_json(found | {"cases": suites.rows(outcomes, folder)})
         else:
-            print(json.dumps(outcomes[0].judgement.row() | found))
+            terminal.say_json(outcomes[0].judgement.row() | found)
         return status
     if many:
         say_all(outcomes)

@@ -1,7 +1,6 @@
 """Benchmarks and the stress lab: bench rays, terms, scaling, reductions, view; stress."""
 
 import functools
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,6 @@ from cyclopts import Parameter
 from termwise.reports import progress
 from termwise.reports.cli import terminal
 from termwise.reports.cli.terminal import Integer, Json, MaybeInteger, Names, Quiet, Threads
-from termwise.scenes.store import write_atomically
 
 Scenes = Annotated[Names, Parameter(help="two_cubes, cornell_box, cornell_box_unshadowed, monkey; all if none.")]
 Side = Annotated[Integer, Parameter(help="Pixels of a side of the square image.")]
@@ -367,15 +365,16 @@ def _measured(
     json_: bool,
 ) -> dict[str, Any]:
     """Measure and show the progress; the numbers go to the folder with the command, and onto its page."""
+    from termwise.reports.results import schema as stored
+
     terminal.folder(folder)
     with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
         measured = measure(report=stage(name.capitalize()))
     measured["command"] = terminal.command()
-    text = json.dumps(measured, indent=1)
-    write_atomically(folder / f"{name}.json", lambda path: path.write_text(text, "utf-8"))
+    stored.write(folder / f"{name}.json", measured)
     write(folder)
     if json_:
-        print(json.dumps(measured))
+        terminal.say_json(measured)
     return measured
 
 

@@ -1,6 +1,5 @@
 """From an image to a sample: inspect and replay."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -47,7 +46,6 @@ def inspect(
         Its row.
     """
     from termwise.reports.results import microscope
-    from termwise.reports.run import plain
 
     if (x is None) != (y is None):
         raise ValueError(f"{'x' if x is None else 'y'}: is missing: allowed are both x and y, or none")
@@ -68,7 +66,7 @@ def inspect(
     command = None if found.replicate is None else opened.replay(row, found)
     if json_:
         identity = {name: row[name] for name in ("scene", "term", "variant", "verdict", "sentence")}
-        print(json.dumps(plain(identity | attrs.asdict(found) | {"replay": command})))
+        terminal.say_json(identity | attrs.asdict(found) | {"replay": command})
         return 0
     _print_branch(rows, found)
     if command is not None:
@@ -162,7 +160,6 @@ def replay(
     from termwise.renderer.replay import replay as replayed
     from termwise.renderer.terms import find
     from termwise.reports.results import microscope
-    from termwise.reports.run import plain
     from termwise.reports.statistics import sequential
     from termwise.reports.study import allotment, subjects
     from termwise.reports.study import study as studies
@@ -215,7 +212,7 @@ def replay(
             "equals_stored": same,
             "samples": [attrs.asdict(sample) | {"radiance": sample.radiance.tolist()} for sample in found.samples],
         }
-        print(json.dumps(plain(described)))
+        terminal.say_json(described)
     else:
         _print_replay(found)
         if same is not None:

@@ -153,7 +153,7 @@ def reference(
         script = export / "render.py"
         llvm = active().llvm_path
         if json_:
-            print(json.dumps({"scene": described.name, "script": str(script)}))
+            terminal.say_json({"scene": described.name, "script": str(script)})
         else:
             terminal.say(f"Wrote {script}")
             if llvm:
@@ -187,7 +187,7 @@ def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dic
         term: {"mean": image.mean.mean(axis=(0, 1)).tolist(), "seconds": image.seconds} for term, image in found.items()
     }
     if as_json:
-        print(json.dumps({"scene": scene.name, "settings": settings, "terms": rows, "files": [str(exr), str(png)]}))
+        terminal.say_json({"scene": scene.name, "settings": settings, "terms": rows, "files": [str(exr), str(png)]})
         return 0
     table = Table("term", "mean radiance (R, G, B)", "seconds")
     for term, row in rows.items():
@@ -215,7 +215,7 @@ def plan(scene: SceneName, *, samples: Integer = 16, resolution: Resolution = No
     )
     if json_:
         found = [attrs.asdict(step) for step in steps]
-        print(json.dumps({"scene": scene, "samples": samples, "steps": found}))
+        terminal.say_json({"scene": scene, "samples": samples, "steps": found})
         return 0
     colours = {"runs": "", "skip": "green", "variance reduction": "cyan", "reuse": "cyan"}
     table = terminal.table("term", "work", "", "why", "saved")
@@ -244,7 +244,7 @@ def scenes(*, json_: Json = False) -> int:
         rows.append({"name": name, "objects": len(scene.objects), "triangles": triangles, "lights": lights})
         rows[-1] |= {"scope": scene.scope, "max_bounces": scene.max_bounces, "digest": scene.digest()}
     if json_:
-        print(json.dumps({"scenes": rows}))
+        terminal.say_json({"scenes": rows})
         return 0
     table = Table("scene", "objects", "triangles", "lights", "scope", "bounces")
     for row in rows:

@@ -1,7 +1,6 @@
 """Studies and what is made of them: compare, diff and figure."""
 
 import contextlib
-import json
 import re
 import runpy
 from collections.abc import Iterator
@@ -109,7 +108,7 @@ def compare(
 
         index = single.write(folder)
     if json_:
-        print(json.dumps(results))
+        terminal.say_json(results)
     else:
         _print_results(results)
         terminal.output.print(f"\nReport: {index.resolve()}", soft_wrap=True)
@@ -222,7 +221,7 @@ def diff(run_a: Path, run_b: Path, *, out: Path = Path("out"), json_: Json = Fal
     folder = terminal.folder(out / "diff")
     index = page.write(found, folder)
     if json_:
-        print(json.dumps(found))
+        terminal.say_json(found)
     else:
         _print_diff(found)
         terminal.output.print(f"\nReport: {index.resolve()}", soft_wrap=True)

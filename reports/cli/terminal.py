@@ -56,6 +56,13 @@ def say(text: str, *, markup: bool = True) -> None:
     output.print(text, highlight=False, soft_wrap=True, markup=markup)
 
 
+def say_json(results: Any) -> None:
+    """One JSON object on standard output."""
+    from termwise.reports.results.schema import dumped
+
+    print(dumped(results))
+
+
 def fail(message: str) -> None:
     """Say what went wrong in one line."""
     print(f"termwise: {' '.join(message.split())}", file=sys.stderr)

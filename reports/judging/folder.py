@@ -4,7 +4,6 @@
 `image` and `reference` (y, x, channel) with their variances, and the maps of the tiles.
 """
 
-import json
 from pathlib import Path
 
 import h5py
@@ -16,9 +15,8 @@ from termwise.reports.machine import versions
 from termwise.reports.pages import pictures
 from termwise.reports.results.exr import write_exr
 from termwise.reports.results.netcdf import write_netcdf
-from termwise.reports.results.schema import SCHEMA, plain
+from termwise.reports.results.schema import SCHEMA, write
 from termwise.reports.statistics import replicates, tiles
-from termwise.scenes.store import write_atomically
 
 
 def check_exposure(exposure: float | None) -> None:
@@ -75,14 +73,11 @@ def publish(folder: Path, judgement: Judgement, *, command: str = "", root: str 
 
     with h5py.File(folder / "results.nc") as kept:
         exposure = float(np.asarray(kept.attrs["exposure"]).item())
-    results = plain(
-        {
-            "schema": SCHEMA,
-            "versions": versions(),
-            "settings": {"command": command, "exposure": exposure, **judgement.settings},
-            "verdict": judgement.row(),
-        }
-    )
-    text = json.dumps(results, indent=1, allow_nan=False)
-    write_atomically(folder / "results.json", lambda path: path.write_text(text, "utf-8"))
+    results = {
+        "schema": SCHEMA,
+        "versions": versions(),
+        "settings": {"command": command, "exposure": exposure, **judgement.settings},
+        "verdict": judgement.row(),
+    }
+    write(folder / "results.json", results)
     return page.write(folder, root=root)

@@ -18,6 +18,7 @@ import scipy
 from termwise.reports.statistics import accumulation, rule
 from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.replicates import luminance_of
+from termwise.scenes import srgb
 
 REACH = 2.0
 """Largest shift in pixels that is tried, in steps of half of one."""
@@ -361,12 +362,10 @@ def _curves() -> Iterator[Correction]:
         return lambda image: np.maximum(image, 0.0) ** exponent
 
     def decoded(image: Image) -> Image:
-        image = np.maximum(image, 0.0)
-        return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
+        return srgb.decoded(np.maximum(image, 0.0))
 
     def encoded(image: Image) -> Image:
-        image = np.maximum(image, 0.0)
-        return np.where(image <= 0.0031308, 12.92 * image, 1.055 * image ** (1 / 2.4) - 0.055)
+        return srgb.encoded(np.maximum(image, 0.0))
 
     yield Correction("ours is raised to the power 2.2: it is gamma-encoded (1/2.2)", power(2.2))
     yield Correction("ours is raised to the power 1/2.2: a gamma of 2.2 was undone once too often", power(1 / 2.2))

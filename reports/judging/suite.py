@@ -5,7 +5,6 @@ of a case are let go once they are on the disk.
 """
 
 import itertools
-import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -176,8 +175,7 @@ def decide_all(
     from termwise.reports.judging.folder import publish
     from termwise.reports.machine import versions
     from termwise.reports.pages import judge as pages
-    from termwise.reports.results.schema import SCHEMA, plain
-    from termwise.scenes.store import write_atomically
+    from termwise.reports.results.schema import SCHEMA, plain, write
 
     tests = sum(each.statistics.tests for *_, each in measured)
     outcomes = []
@@ -194,8 +192,7 @@ def decide_all(
             "unjudged": [attrs.asdict(each) for each in unjudged],
         }
     )
-    text = json.dumps(results, indent=1, allow_nan=False)
-    write_atomically(folder / "results.json", lambda path: path.write_text(text, "utf-8"))
+    write(folder / "results.json", results)
     pages.write_index(folder, results)
     return outcomes
 

@@ -1,12 +1,11 @@
 """What changed between two runs as a page: what `reports.results.diff.diff` found -> `index.html` and `diff.json`."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from termwise.reports.pages.environment import WORDS, copy_static, page_environment, render_page
+from termwise.reports.results import schema as stored
 from termwise.reports.results.diff import said
-from termwise.scenes.store import write_atomically
 
 
 def write(found: dict[str, Any], folder: Path) -> Path:
@@ -17,8 +16,7 @@ def write(found: dict[str, Any], folder: Path) -> Path:
     found : of `reports.results.diff.diff`, with the `runs` that were compared and the `command`.
     folder : made if missing.
     """
-    text = json.dumps(found, indent=1, allow_nan=False)
-    write_atomically(folder / "diff.json", lambda path: path.write_text(text, "utf-8"))
+    stored.write(folder / "diff.json", found)
     index = folder / "index.html"
     values = {"found": found, "words": WORDS, "said": said, "page": "diff"}
     render_page(page_environment(), "diff.html.j2", index, root="", **values)

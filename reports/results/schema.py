@@ -1,4 +1,4 @@
-"""A finished run as it is read again: `results.json` of one schema, whole, or a sentence that says why not."""
+"""JSON of results as it is written, and a finished run as it is read again: whole, or a sentence that says why not."""
 
 import json
 import math
@@ -7,6 +7,8 @@ from typing import Any
 
 import h5netcdf
 import numpy as np
+
+from termwise.scenes.store import write_atomically
 
 SCHEMA = 1
 """Of `results.json`: another number, another meaning."""
@@ -66,6 +68,17 @@ def check_images(run: Path) -> None:
     except Exception as error:  # h5py raises OSError, KeyError and RuntimeError alike
         reason = " ".join(str(error).split())
         raise ValueError(f"{path}: is cut short or no NetCDF ({reason}): allowed is {_WRITER}") from None
+
+
+def write(path: Path, results: Any) -> None:
+    """Write results as JSON; the file appears whole or not at all."""
+    text = dumped(results, indent=1)
+    write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
+
+
+def dumped(results: Any, indent: int | None = None) -> str:
+    """Results as JSON, made `plain` before."""
+    return json.dumps(plain(results), indent=indent, allow_nan=False)
 
 
 def plain(value: Any) -> Any:

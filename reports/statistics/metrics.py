@@ -8,6 +8,8 @@ image scores worse than a smooth wrong one): that is the verdict's task.
 
 import numpy as np
 
+from termwise.scenes import srgb
+
 SSIM_WINDOW = 11
 """Side in pixels of the Gaussian window (standard deviation 1.5, cut at 3.5 of them)."""
 
@@ -86,7 +88,7 @@ def encode(radiance: np.ndarray, *, exposure: float, gamma: float | None = None)
     clipped = np.clip(np.asarray(radiance, dtype=np.float64) * exposure, 0.0, 1.0)
     if gamma is not None:
         return clipped ** (1.0 / gamma)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
+    return srgb.encoded(clipped)
 
 
 def _pair(reference: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from termwise.scenes.images.image import Image, check_size, cut_short, in_rec709
+from termwise.scenes.numerals import reals
 
 MANTISSA = 2.0**-8
 """Half a step of the smallest mantissa of the largest channel, relative."""
@@ -61,7 +62,7 @@ def _header(path: Path, text: bytes) -> tuple[np.ndarray, list[float], tuple[str
         if name not in ("EXPOSURE", "COLORCORR", "PRIMARIES", "GAMMA"):
             continue
         try:
-            numbers = [float(each) for each in value.split()]
+            numbers = reals(value.split())
         except ValueError:
             numbers = []
         if len(numbers) != {"COLORCORR": 3, "PRIMARIES": 8}.get(name, 1) or not np.isfinite(numbers).all():

@@ -1,8 +1,10 @@
 """Float TIFF: one page of grey, RGB or RGBA."""
 
 import contextlib
+import io
 import itertools
 import logging
+import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +18,8 @@ if TYPE_CHECKING:
     from tifffile import TiffPage
 
 _GREY, _RGB = 1, 2
-_DEFLATE, _FLOATING = (8, 32946), 3
+_LZW, _DEFLATE = 5, (8, 32946)
+_PLAIN, _DIFFERENCES, _FLOATING = 1, 2, 3
 
 
 def read(path: Path, layer: str | None) -> list[Image]:
@@ -33,7 +36,7 @@ def read(path: Path, layer: str | None) -> list[Image]:
             page = file.pages.first
             _check(path, page)
             deflated = page.compression in _DEFLATE and page.predictor == _FLOATING
-            values = _unpredicted(path, page) if deflated else page.asarray()
+            values = _decoded(path, page) if deflated or page.compression == _LZW else page.asarray()
             if complaints:  # a tag that cannot be read is left out, and the image is another one without it
                 raise ValueError(complaints[0])
             white, primaries = (page.tags.valueof(code) for code in (318, 319))
@@ -41,7 +44,7 @@ def read(path: Path, layer: str | None) -> list[Image]:
         if str(error).startswith(f"{path}: "):
             raise
         raise ValueError(_broken(path, str(error))) from None
-    except Exception as error:  # TiffFileError, struct.error, zlib.error, KeyError, ...: whatever its tags hold
+    except Exception as error:  # TiffFileError, struct.error, zlib.error, OSError, ...: whatever its tags hold
         raise ValueError(_broken(path, str(error) or type(error).__name__)) from None
     if page.planarconfig == 2 and values.ndim == 3:  # channels stand behind one another
         values = np.moveaxis(values, 0, -1)
@@ -103,25 +106,54 @@ def _check(path: Path, page: "TiffPage") -> None:
         raise cut_short(path, f"{stored} of {needed} bytes of pixels")
 
 
-def _unpredicted(path: Path, page: "TiffPage") -> np.ndarray:
-    """Deflated floats whose bytes stand by significance and as differences, (H, W, C), or (C, H, W) where planes do.
+def _decoded(path: Path, page: "TiffPage") -> np.ndarray:
+    """Pixels whose coding tifffile leaves to a package of 40 MB, (H, W, C), or (C, H, W) where planes stand apart.
 
-    OpenImageIO writes so by default; tifffile leaves it to a package of 40 MB. (Adobe Photoshop TIFF Technical Note 3.)
+    They are deflated floats whose bytes stand by significance and as differences, which OpenImageIO writes by default
+    (Adobe Photoshop TIFF Technical Note 3), and all that LZW has packed.
     """
     apart = page.planarconfig == 2
     planes, samples = (page.samplesperpixel, 1) if apart else (1, page.samplesperpixel)
     height, width = page.imagelength, page.imagewidth
     high, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (min(page.rowsperstrip, height), width)
-    size = page.bitspersample // 8
+    size, order = page.bitspersample // 8, page.parent.byteorder
     found = np.empty((planes, height, width, samples), f"f{size}")
     places = itertools.product(range(planes), range(0, height, high), range(0, width, wide))
     with path.open("rb") as file:
         for (plane, y, x), offset, count in zip(places, page.dataoffsets, page.databytecounts, strict=True):
             file.seek(offset)
-            differences = np.frombuffer(zlib.decompress(file.read(count)), np.uint8)
             rows = high if page.is_tiled else min(high, height - y)
-            of_significance = differences.reshape(rows, -1, samples).cumsum(axis=1, dtype=np.uint8)
-            in_order = np.ascontiguousarray(of_significance.reshape(rows, size, -1).swapaxes(1, 2))
+            packed, row = file.read(count), wide * samples * size
+            unpacked = _unlzw(packed, rows, row) if page.compression == _LZW else zlib.decompress(packed)
+            body = np.frombuffer(unpacked, np.uint8).reshape(rows, row)
             part = found[plane, y : y + high, x : x + wide]
-            part[:] = in_order.view(f">f{size}").reshape(rows, wide, samples)[: part.shape[0], : part.shape[1]]
+            values = _unpredicted(body, page.predictor, samples, size, order)
+            part[:] = values[: part.shape[0], : part.shape[1]]
     return found[..., 0] if apart else found[0]
+
+
+def _unpredicted(body: np.ndarray, predictor: int, samples: int, size: int, order: str) -> np.ndarray:
+    """Floats (rows, columns, samples) of the bytes (rows, n) of a piece."""
+    rows = len(body)
+    if predictor == _FLOATING:
+        of_significance = body.reshape(rows, -1, samples).cumsum(axis=1, dtype=np.uint8)
+        body, order = np.ascontiguousarray(of_significance.reshape(rows, size, -1).swapaxes(1, 2)), ">"
+    elif predictor == _DIFFERENCES:
+        words = body.view(f"{order}u{size}").reshape(rows, -1, samples)
+        body, order = words.cumsum(axis=1, dtype=f"u{size}"), "="
+    elif predictor != _PLAIN:
+        raise ValueError(f"predictor {predictor}")
+    return body.view(f"{order}f{size}").reshape(rows, -1, samples)
+
+
+def _unlzw(packed: bytes, rows: int, row: int) -> bytes:
+    """What LZW packed: Pillow's libtiff reads it as a picture of bytes, whatever they mean."""
+    from PIL import TiffImagePlugin
+
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    for code, value in ((256, row), (257, rows), (258, 8), (259, _LZW), (262, _GREY), (277, 1), (278, rows)):
+        tags[code] = value
+    tags[273], tags[279] = 0, len(packed)  # Pillow counts from the end of the tags
+    content = struct.pack("<2sHI", b"II", 42, 8) + tags.tobytes(8) + packed
+    with TiffImagePlugin.TiffImageFile(io.BytesIO(content)) as picture:
+        return picture.tobytes()

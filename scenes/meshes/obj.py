@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from termwise.scenes.meshes.polygons import MeshError, triangulate
+from termwise.scenes.numerals import reals, wholes
 
 _SURFACES = {"surf", "bzp", "bsp", "cdp", "call", "csh"}  # free forms, and what other files hold
 
@@ -26,7 +27,7 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         where = f"line {line}: {statement[:60]!r}"
         if word == "v":
             try:
-                x, y, z, *_ = map(float, values)
+                x, y, z, *_ = reals(values)
             except ValueError:
                 raise MeshError(f"{where}: allowed are three numbers") from None
             vertices.append([x, y, z])
@@ -35,7 +36,7 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 raise MeshError(f"{where}: allowed are at least 3 corners")
             for value in values:
                 try:
-                    index = int(value.partition("/")[0])
+                    (index,) = wholes([value.partition("/")[0]])
                 except ValueError:
                     raise MeshError(f"{where}: {value!r}: allowed are whole numbers, as 1, 1/1, 1//1, 1/1/1") from None
                 if index == 0 or index < -len(vertices):

@@ -11,6 +11,7 @@ import attrs
 import numpy as np
 
 from termwise.scenes.meshes.polygons import MeshError, strip, triangulate
+from termwise.scenes.numerals import reals, wholes
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
@@ -47,7 +48,7 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) float64 and triangles (F, 3) int64, see `scenes.meshes.read`."""
     data = path.read_bytes()
     order, elements, start = _header(data)
-    columns = _ascii(elements, data[start:].split()) if not order else _binary(elements, data, start, order)
+    columns = _binary(elements, data, start, order) if order else _ascii(elements, data[start:].decode("ascii", "replace"))
     if not {"x", "y", "z"} <= columns.get("vertex", {}).keys():
         raise MeshError("has no element vertex with x, y and z")
     vertices = np.stack([columns["vertex"][axis][0].astype(np.float64) for axis in "xyz"], axis=1)
@@ -78,7 +79,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
                 pass
             case ["format", name, "1.0"] if name in _ORDERS:
                 order = _ORDERS[name]
-            case ["element", name, rows] if rows.isdecimal():
+            case ["element", name, rows] if rows.isascii() and rows.isdecimal():
                 elements.append(_Element(name, int(rows)))
             case ["property", "list", count, kind, name] if elements and _TYPES.get(count, "f")[0] != "f":
                 elements[-1].properties.append(_Property(name, _type(kind), _TYPES[count]))
@@ -97,11 +98,11 @@ def _type(name: str) -> str:
     return _TYPES[name]
 
 
-def _ascii(elements: list[_Element], tokens: list[bytes]) -> dict[str, dict[str, Column]]:
+def _ascii(elements: list[_Element], text: str) -> dict[str, dict[str, Column]]:
     columns: dict[str, dict[str, Column]] = {}
-    at = 0
+    tokens, at = text.split(), 0
     for element in elements:
-        values: list[list[bytes]] = [[] for _ in element.properties]
+        values: list[list[str]] = [[] for _ in element.properties]
         counts: list[list[int]] = [[] for _ in element.properties]
         if not element.has_lists:
             width = len(element.properties)
@@ -131,10 +132,10 @@ def _ascii(elements: list[_Element], tokens: list[bytes]) -> dict[str, dict[str,
     return columns
 
 
-def _numbers(tokens: list[bytes], kind: str, element: _Element) -> np.ndarray:
+def _numbers(tokens: list[str], kind: str, element: _Element) -> np.ndarray:
     """Whole numbers where the type is one, else of float32 or float64 as it is."""
     try:
-        return np.array(list(map(int if kind[0] in "iu" else float, tokens)), np.int64 if kind[0] in "iu" else kind)
+        return np.array(wholes(tokens), np.int64) if kind[0] in "iu" else np.array(reals(tokens), kind)
     except (ValueError, OverflowError) as error:
         raise MeshError(f"element {element.name}: {error}") from None
 

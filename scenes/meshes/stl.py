@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from termwise.scenes.meshes.polygons import MeshError, triangulate
+from termwise.scenes.numerals import reals
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _WORDS = "facet normal {} {} {} outer loop" + 3 * " vertex {} {} {}" + " endloop endfacet"
@@ -60,6 +61,6 @@ def _text(text: str) -> np.ndarray:
         facet, place = np.argwhere(wrong)[0]
         raise MeshError(f"facet {facet}: {facets[facet, place][:60]!r}: allowed is {str(_PATTERN[place])!r}")
     try:
-        return facets[:, _NUMBERS[3:]].astype(np.float64).reshape(-1, 3)
+        return np.reshape(reals(facets[:, _NUMBERS[3:]].ravel().tolist()), (-1, 3))
     except ValueError as error:
         raise MeshError(f"vertex: {error}") from None

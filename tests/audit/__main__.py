@@ -27,7 +27,7 @@ from scipy import stats
 from termwise.reports import progress
 from termwise.reports.machine import versions
 from termwise.reports.pages.environment import copy_static, page_environment, render_page
-from termwise.reports.run import plain
+from termwise.reports.results.schema import plain
 from termwise.reports.statistics.verdict import LEVEL, POWER
 from termwise.scenes.store import write_atomically
 from tests.audit import faults, history, nulls

@@ -4,6 +4,7 @@ The writers are not ours: OpenEXR's library, Mitsuba's Bitmap, tifffile, NumPy; 
 it is put together from bytes as the format's description says.
 """
 
+import io
 import itertools
 import struct
 import zlib
@@ -574,8 +575,18 @@ def test_tiff(tmp_path: Path):
         refused(path, words)
 
 
-def predicted(rgb: np.ndarray, *, side: int = 0, kind: str = "<f4") -> bytes:
-    """A deflated TIFF with the floating-point predictor, in tiles of a side or in strips of 7 lines."""
+def lzw(body: bytes) -> bytes:
+    """Packed by libtiff, as the one strip of a picture of bytes."""
+    content = io.BytesIO()
+    Picture.frombytes("L", (len(body), 1), body).save(content, "tiff", compression="tiff_lzw")
+    content.seek(0)
+    with tifffile.TiffFile(content) as file:
+        (at,), (count,) = (file.pages.first.dataoffsets, file.pages.first.databytecounts)
+    return content.getvalue()[at : at + count]
+
+
+def predicted(rgb: np.ndarray, *, side: int = 0, kind: str = "<f4", predictor: int = 3, packing: int = 8) -> bytes:
+    """A packed TIFF with a predictor, by default that of floats, in tiles of a side or in strips of 7 lines."""
     height, width, samples = rgb.shape
     size = np.dtype(kind).itemsize
     high, wide = (side, side) if side else (7, width)
@@ -585,19 +596,23 @@ def predicted(rgb: np.ndarray, *, side: int = 0, kind: str = "<f4") -> bytes:
         if side:
             block = np.pad(block, ((0, side - block.shape[0]), (0, side - block.shape[1]), (0, 0)))
         body = b""
-        for row in block.astype(kind.replace("<", ">")):
-            ordered = np.frombuffer(row.tobytes(), np.uint8).reshape(-1, size).T.ravel().astype(int)
-            ordered[samples:] -= ordered[:-samples].copy()
-            body += (ordered % 256).astype(np.uint8).tobytes()
-        bodies.append(zlib.compress(body))
+        for row in block.astype(kind if predictor < 3 else kind.replace("<", ">")):
+            ordered = np.frombuffer(row.tobytes(), kind.replace("f", "u") if predictor < 3 else np.uint8)
+            if predictor == 3:
+                ordered = ordered.reshape(-1, size).T.ravel()
+            differences = ordered.copy()
+            if predictor > 1:
+                differences[samples:] -= ordered[:-samples]
+            body += differences.tobytes()
+        bodies.append(lzw(body) if packing == 5 else zlib.compress(body))
     count = len(bodies)
     extra = 8 + 2 + 12 * 12 + 4
     offsets = np.cumsum([extra + 12 + 8 * count, *map(len, bodies)])[:-1].tolist()
     sizes = (322, 3, 1, wide), (323, 3, 1, high), (324, 4, count, extra + 12), (325, 4, count, extra + 12 + 4 * count)
     if not side:
         sizes = (278, 3, 1, high), (273, 4, count, extra + 12), (279, 4, count, extra + 12 + 4 * count), (284, 3, 1, 1)
-    tags = [(256, 3, 1, width), (257, 3, 1, height), (258, 3, 3, extra), (259, 3, 1, 8), (262, 3, 1, 2)]
-    tags += [(277, 3, 1, samples), (317, 3, 1, 3), (339, 3, 3, extra + 6), *sizes]
+    tags = [(256, 3, 1, width), (257, 3, 1, height), (258, 3, 3, extra), (259, 3, 1, packing), (262, 3, 1, 2)]
+    tags += [(277, 3, 1, samples), (317, 3, 1, predictor), (339, 3, 3, extra + 6), *sizes]
     directory = b"".join(struct.pack("<HHII", *tag) for tag in sorted(tags))
     shorts = struct.pack("<6H", *[8 * size] * 3, *[3] * 3)
     tables = struct.pack(f"<{2 * count}I", *offsets, *map(len, bodies))
@@ -611,6 +626,28 @@ def test_tiff_with_predicted_floats(tmp_path: Path, side: int):
     for kind in ("<f4", "<f2"):
         path.write_bytes(predicted(RGB, side=side, kind=kind))
         assert np.array_equal(pixels(path), RGB.astype(kind).astype(np.float32))
+
+
+@pytest.mark.parametrize("side", [0, 16])
+@pytest.mark.parametrize("predictor", [1, 2, 3])
+def test_tiff_packed_by_lzw(tmp_path: Path, predictor: int, side: int):
+    path = tmp_path / "a.tif"
+    for kind in ("<f4", "<f2"):
+        content = predicted(RGB, side=side, kind=kind, predictor=predictor, packing=5)
+        path.write_bytes(content)
+        assert np.array_equal(pixels(path), RGB.astype(kind).astype(np.float32)), kind
+    path.write_bytes(content[:-200] + bytes(200))
+    refused(path, "is cut short, damaged, or of a kind that is not read")
+
+
+def test_tiff_of_pillow_packed_by_lzw(tmp_path: Path):
+    """Grey floats, which libtiff packs itself, with each predictor that it has for them."""
+    path = tmp_path / "a.tif"
+    for predictor in (1, 2, 3):
+        Picture.fromarray(RGB[..., 0]).save(path, compression="tiff_lzw", tiffinfo={317: predictor})
+        with tifffile.TiffFile(path) as file:
+            assert (file.pages.first.compression, file.pages.first.predictor) == (5, predictor)
+        assert np.array_equal(pixels(path)[..., 1], RGB[..., 0]), predictor
 
 
 # Folders and stacks.

@@ -165,6 +165,9 @@ def test_obj(dialect, tmp_path):
         (VERTICES + "f 1 2 x\n", "line 9: .*'x': allowed are whole numbers"),
         (VERTICES + "f 1.0 2 3\n", "line 9: .*'1.0': allowed are whole numbers"),
         ("v 1 2\n", "line 1: 'v 1 2': allowed are three numbers"),
+        ("v 1_0 2 3\n", "line 1: .*: allowed are three numbers"),
+        (VERTICES + "f 1 2 0_3\n", "line 9: .*'0_3': allowed are whole numbers"),
+        (VERTICES + "f 1 2 \N{ARABIC-INDIC DIGIT THREE}\n", "line 9: .*: allowed are whole numbers"),
         ("v 1,0 2,0 3,0\n", "line 1: .*: allowed are three numbers"),
         ("v 0 0 inf\n" + VERTICES + FACES, r"vertices\[0\] = \(0.0, 0.0, inf\): allowed are finite numbers"),
         (VERTICES + FACES + "1 2 3\n", "line 15: '1 2 3': is no statement of OBJ"),
@@ -325,6 +328,8 @@ def test_a_ply_cut_anywhere_is_refused(form, tmp_path):
         ("4 0 1 3 2", "2 0 1", "face 0 has 2 corners: allowed are at least 3"),
         ("1 1 1", "1 1 nan", r"vertices\[7\] = \(1.0, 1.0, nan\)"),
         ("1 1 1", "1 1 one", "element vertex: .*one"),
+        ("1 1 1", "1 1 1_0", "element vertex: '1_0' is no number"),
+        ("4 0 1 3 2", "4 0 1 3 0_2", "element face: '0_2' is no number"),
     ],
 )
 def test_bad_ply(old, new, message, tmp_path):
@@ -390,6 +395,7 @@ def test_a_cut_stl_is_refused(tmp_path):
         ("endfacet", "", "facet 0: .*: allowed is 'endfacet'"),
         ("vertex 0 0 0", "vertex 0 0", "facet 0: .*: allowed is 'vertex'"),
         ("vertex 0 0 0", "vertex 0 0 x", "vertex: .*x"),
+        ("vertex 0 0 0", "vertex 0 0 0_1", "vertex: '0_1' is no number"),
         ("vertex 0 0 0", "vertex 0 0 inf", r"vertices\[0\] = \(0.0, 0.0, inf\)"),
         ("endsolid", "endsolid\nfacet", "line 87: 'facet': allowed is 'solid'"),
     ],
