@@ -28,6 +28,7 @@ from termwise.reports.jobs.executors import Executor
 from termwise.reports.machine import processor, versions
 from termwise.reports.progress import Report
 from termwise.reports.results import schema as stored
+from termwise.reports.results.findings import CERTIFIED
 from termwise.reports.rows import images, pilot
 from termwise.reports.rows.described import describe, work
 from termwise.reports.rows.looks import Group, Source, exact_group, jobs, of_case
@@ -41,8 +42,6 @@ from termwise.reports.study.subjects import CHAIN, Subject, subjects
 from termwise.scenes.model import Scene
 from termwise.scenes.store import ROOT, cache_folder, sources_digest
 from termwise.scenes.terms import TERMS
-
-_CERTIFIED = "EQUIVALENT", "AS PREDICTED"
 
 
 def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
@@ -227,11 +226,10 @@ class _Run:
         certified = [
             group.wanted(group.factor)
             for group, of_group in zip(self.groups, found, strict=True)
-            if any(row["verdict"] in _CERTIFIED for row in of_group)
+            if any(row["verdict"] in CERTIFIED for row in of_group)
         ]
         ledger = self.desk.ledger
         return {
-            "margin": verdict.MARGIN,
             "rows": len(certified),
             "of": sum(row["verdict"] not in (None, "ABSENT") for row in rows),
             "seconds": ledger.took("ours", certified),

@@ -285,4 +285,6 @@ def _of_tiles(size: dict[str, Any]) -> str:
     text = f"{what}: {found}"
     if size["uniform_p"] is None:
         return text
-    return f"{text}; its p-values are {'not ' if size['uniform_p'] < _UNEVEN else ''}spread as without a bias"
+    if size["uniform_p"] >= _UNEVEN:
+        return f"{text}; its p-values are spread evenly, as without a bias"
+    return f"{text}; its p-values are not spread evenly: a bias makes them so, and so does noise that tiles share"

@@ -142,54 +142,72 @@ def run_file(path: Path) -> None:
 
 
 def _print_results(results: dict[str, Any]) -> None:
+    """A table for each scene, what wrong formulas are off by, what was certified, and a line for each open question."""
+    from termwise.reports.results import findings
+
     judged = [row for row in results["cells"] if row["verdict"] is not None]
-    certified = results["settings"]["certified"]
+    certified, right = results["settings"]["certified"], findings.from_right(results["cells"])
     for scene in results["settings"]["scenes"]:
         columns = ("term", "variant", "bias [90 %] in %", "RMSE", "SSIM", "s", "verdict")
         if certified["budget"] is not None:
             columns = ("term", "variant", "bias [90 %] in %", "K", "ours s", "ref. s", "verdict")
         table = terminal.table(*columns, title=scene)
-        for row in judged:
-            if row["scene"] != scene:
-                continue
-            absent = row["verdict"] == "ABSENT"
-            low, high = 100 * row["bias_low"], 100 * row["bias_high"]
-            colour = terminal.COLOURS.get(row["verdict"], "dim" if absent else "yellow")
-            if certified["budget"] is not None:
-                numbers = str(row["replicates"]), f"{row['seconds']:.1f}", f"{row['reference_seconds']:.1f}"
-            else:
-                numbers = (
-                    "" if absent else f"{row['rmse']:.3g}",
-                    "" if absent or row["ssim"] is None else f"{row['ssim']:.3f}",
-                    f"{row['seconds']:.1f}",
-                )
-            table.add_row(
-                row["term"],
-                row["variant"],
-                "" if absent else f"{100 * row['bias']:+.2f} \\[{low:+.2f}, {high:+.2f}]",
-                *numbers,
-                f"[{colour}]{row['verdict']}[/{colour}]",
-            )
+        rows = [row for row in judged if row["scene"] == scene]
+        for row in rows:
+            table.add_row(*_cells(row, budgeted=certified["budget"] is not None))
         terminal.output.print(table)
+        for row in rows:
+            if (off := right.get(findings.key(row))) and row["against"] == "own":
+                bias = float(f"{100 * off['bias']:.3g}")
+                where = f"{row['term']} {row['variant']}: {row['verdict']}"
+                terminal.say(f"{where}, {bias:+g} % from the right integral", markup=False)
     known = [row for row in judged if row.get("group")]
     for group in dict.fromkeys(row["group"] for row in known):
         words = [row["verdict"] for row in known if row["group"] == group]
         counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
         terminal.output.print(f"\n[bold]{group}[/bold], its answer known: {counts}", highlight=False)
-    _print_certified(certified, allotted=bool(results["settings"].get("allotted")))
+    margins = findings.certified(judged)
+    _print_certified(certified, margins, allotted=bool(results["settings"].get("allotted")))
     for row in judged:
         if row["verdict"] in terminal.PROVEN or (row["verdict"] == "UNDERPOWERED" and not row.get("group")):
             where = f"{row['scene']}: {row['term']} {row['variant']}"
-            terminal.say(f"{where}: {row['sentence']}")
+            terminal.say(f"{where}: {row['verdict']}: {row['headline']}", markup=False)
 
 
-def _print_certified(certified: dict[str, Any], *, allotted: bool) -> None:
-    """What it took to show that the rows that passed are right."""
+def _cells(row: dict[str, Any], *, budgeted: bool) -> tuple[str, ...]:
+    """A judged row as the table of its scene has it; behind a verdict that certifies, within what."""
+    from termwise.reports.results.findings import CERTIFIED
+
+    absent = row["verdict"] == "ABSENT"
+    low, high = 100 * row["bias_low"], 100 * row["bias_high"]
+    if budgeted:
+        numbers = str(row["replicates"]), f"{row['seconds']:.1f}", f"{row['reference_seconds']:.1f}"
+    else:
+        numbers = (
+            "" if absent else f"{row['rmse']:.3g}",
+            "" if absent or row["ssim"] is None else f"{row['ssim']:.3f}",
+            f"{row['seconds']:.1f}",
+        )
+    bias = "" if absent else f"{100 * row['bias']:+.2f} \\[{low:+.2f}, {high:+.2f}]"
+    colour = terminal.COLOURS.get(row["verdict"], "dim" if absent else "yellow")
+    within = f" ±{_share(row['margin'] + row['allowance'])}" if row["verdict"] in CERTIFIED else ""
+    return row["term"], row["variant"], bias, *numbers, f"[{colour}]{row['verdict']}[/{colour}]{within}"
+
+
+def _share(value: float) -> str:
+    """In percent, without zeros that say nothing."""
+    return f"{round(100 * value, 2):g} %"
+
+
+def _print_certified(certified: dict[str, Any], margins: dict[float, int], *, allotted: bool) -> None:
+    """What it took to show that the rows that passed are right, and within what."""
     ours, reference = certified["seconds"], certified["reference_seconds"]
+    shown = [f"|bias| < {_share(margin)} in {count}" for margin, count in margins.items()]
+    within = f": {', '.join(shown)}" if shown else ""
     text = (
-        f"[bold]{ours + reference:.1f} s to certify |bias| < {certified['margin']:.0%}[/bold] in {certified['rows']} "
-        f"of {certified['of']} rows: ours {ours:.1f} s, reference {reference:.1f} s; our kernels compiled in "
-        f"{certified['compile_seconds']:.1f} s, apart."
+        f"[bold]{ours + reference:.1f} s to certify {certified['rows']} of {certified['of']} rows[/bold]{within}; ours "
+        f"{ours:.1f} s, reference {reference:.1f} s; our kernels compiled in {certified['compile_seconds']:.1f} s, "
+        "apart."
     )
     if certified["budget"] is not None:
         looks = ", ".join(map(str, certified["looks"]))

@@ -11,10 +11,10 @@ from typing import Any
 import attrs
 import numpy as np
 
-from termwise.reports.judging.headline import headline
 from termwise.reports.judging.hints import Hint, hints
 from termwise.reports.statistics import accumulation, rule
 from termwise.reports.statistics.accumulation import Statistics
+from termwise.reports.statistics.headline import headline
 from termwise.reports.statistics.replicates import bands, stacked
 from termwise.reports.statistics.verdict import LEVEL, MARGIN, Verdict
 from termwise.scenes.terms import TermImage

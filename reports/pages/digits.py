@@ -26,6 +26,11 @@ def percent(value: float | None, *, signed: bool = True, decimals: int = 2) -> s
     return _minus(f"{100 * value:{'+' if signed else ''}.{decimals}f}") + f"{THIN}%"
 
 
+def margin(value: float) -> str:
+    """A margin in percent, without zeros that say nothing: `1 %`, `0.5 %`, `2.04 %`."""
+    return f"{100 * value:.2f}".rstrip("0").rstrip(".") + f"{THIN}%"
+
+
 def two_digits(value: float) -> str:
     """The end of a scale, which has two digits: `+7.2 %`, `+170 %`."""
     return percent(value, decimals=_decimals(100 * abs(value)))

@@ -67,6 +67,15 @@ def sentence(row: dict[str, Any]) -> str:
     return text[:1].upper() + text[1:]
 
 
+def short(row: dict[str, Any]) -> str:
+    """The row's verdict in plain words; its whole sentence where an earlier version's run has no others."""
+    text = row.get("headline")
+    if not text:
+        return sentence(row)
+    text = re.sub(r"(?<!\w)-(?=\d)", digits.MINUS, text)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
 def slug(text: str) -> str:
     """A name that an address can hold."""
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-")
@@ -82,7 +91,17 @@ def page_environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_kwargs"] = {}  # not sorted: terms and references have an order
-    for name in ("percent", "interval", "two_digits", "plus_minus", "number", "similarity", "duration", "setting"):
+    for name in (
+        "percent",
+        "margin",
+        "interval",
+        "two_digits",
+        "plus_minus",
+        "number",
+        "similarity",
+        "duration",
+        "setting",
+    ):
         environment.filters[name] = getattr(digits, name)
     environment.filters["math"] = mathml
     environment.filters["equation"] = lambda latex: mathml(latex, block=True)
@@ -90,6 +109,7 @@ def page_environment() -> jinja2.Environment:
     environment.filters["word"] = word
     environment.filters["breakable"] = lambda name: escape(name).replace("_", Markup("_<wbr>"))
     environment.filters["sentence"] = sentence
+    environment.filters["short"] = short
     environment.filters["digest"] = lambda text: re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1…", text)
     environment.globals["bar"] = _bar()
     environment.globals["p_histograms"] = charts.p_histograms

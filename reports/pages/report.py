@@ -27,7 +27,7 @@ from termwise.reports.pages.environment import (
     word,
 )
 from termwise.reports.progress import Report, silent
-from termwise.reports.results import microscope, provenance, table
+from termwise.reports.results import findings, microscope, provenance, table
 from termwise.reports.results import schema as stored
 from termwise.reports.statistics import verdict
 from termwise.scenes.terms import TERMS, TOTAL
@@ -37,7 +37,8 @@ _FIELDS = (
     "reference_seconds compile_seconds rmse rmse_low rmse_high relmse ssim bias bias_low bias_high standard_error "
     "margin allowance tests family_low family_high rms_bias rms_bias_high place predicted_bias detectable_bias "
     "detectable_shape detectable_border detectable_window "
-    "samples_to_margin seconds_to_margin slope slope_low slope_high floor cause verdict sentence reference_shortfall "
+    "samples_to_margin seconds_to_margin off slope slope_low slope_high floor cause verdict headline sentence "
+    "reference_shortfall "
     "reference_audit group at gain base setting reference_seconds_to_rmse speed_up command"
 ).split()
 _LISTS = "channels", "objects", "warnings", "reasons", "tolerated", "tiles"
@@ -62,6 +63,10 @@ def write(run: Path, *, report: Report = silent) -> Path:
     results = stored.read(run)
     stored.check_images(run)
     rows = [_complete(row | {"command": provenance.command(results, row)}) for row in results["cells"]]
+    right = findings.from_right(rows)
+    for row in rows:
+        if row["against"] == "own" and row["verdict"]:
+            row["off"] = right.get(findings.key(row))
     audits = results.get("audits", [])
     every = [_Scene(name, described, rows, audits) for name, described in results["settings"]["scenes"].items()]
     scenes = [scene for scene in every if scene.setting is None]
@@ -95,6 +100,8 @@ def write(run: Path, *, report: Report = silent) -> Path:
         "shown": shown,
         "rows": judged,
         "tally": _tally(judged),
+        "margins": findings.certified(judged),
+        "certifying": findings.CERTIFIED,
         "exact": exact,
         "extrapolations": results.get("extrapolations", []),
         "words": WORDS,

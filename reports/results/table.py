@@ -28,7 +28,7 @@ _UNITS: tuple[tuple[str | None, str], ...] = (
     (None, "reference_audit"),
     ("per pixel and replicate", "samples_to_margin"),
     ("s", "seconds_to_margin"),
-    (None, "sentence command"),
+    (None, "headline sentence command"),
 )
 COLUMNS = {name: unit for unit, names in _UNITS for name in names.split()}
 """Fields of a row in the order of the table, each with its unit: 1 is a number or a share, None is text."""

@@ -16,6 +16,7 @@ from termwise.reports.jobs.cells import Cell
 from termwise.reports.statistics import accumulation, jackknife, metrics, replicates, rule, tiles, verdict
 from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.convergence import PREFIXES_NEEDED, Convergence, fit, mean_square_error
+from termwise.reports.statistics.headline import headline
 from termwise.reports.statistics.jackknife import Estimate
 from termwise.reports.statistics.verdict import Verdict
 from termwise.reports.study import audits
@@ -395,10 +396,12 @@ def decided(row: Measurement, tests: int, audited: list[dict[str, Any]], looks: 
     if row.statistics is None:
         return {**fields, **_NOT_JUDGED}
     judged = row.judged and not failed
-    outcome = rule.decide(row.statistics, tests=max(tests, 1), looks=looks, judged=judged, **row.decide).row()
+    found = rule.decide(row.statistics, tests=max(tests, 1), looks=looks, judged=judged, **row.decide)
+    outcome = found.row() | {"headline": headline(found, row.statistics) if judged else None}
     if row.judged and failed:
-        sentence = f"{verdict.NO_VERDICT}: its reference failed an audit: {'; '.join(failed)}."
-        outcome |= {"verdict": verdict.NO_VERDICT, "reasons": failed, "sentence": sentence}
+        why = "its reference failed an audit"
+        sentence = f"{verdict.NO_VERDICT}: {why}: {'; '.join(failed)}."
+        outcome |= {"verdict": verdict.NO_VERDICT, "reasons": failed, "sentence": sentence, "headline": why}
     regions = outcome.pop("regions")
     return {
         **fields,
@@ -412,4 +415,4 @@ def decided(row: Measurement, tests: int, audited: list[dict[str, Any]], looks: 
 # A prefix of a run has errors, but neither bias nor verdict of its own.
 _NOT_JUDGED: dict[str, Any] = dict.fromkeys(
     field.name for field in attrs.fields(Verdict) if field.name != "regions"
-) | {"warnings": [], "reasons": [], "tolerated": [], "channels": [], "objects": [], "tiles": []}
+) | {"headline": None, "warnings": [], "reasons": [], "tolerated": [], "channels": [], "objects": [], "tiles": []}

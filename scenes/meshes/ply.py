@@ -48,7 +48,9 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) float64 and triangles (F, 3) int64, see `scenes.meshes.read`."""
     data = path.read_bytes()
     order, elements, start = _header(data)
-    columns = _binary(elements, data, start, order) if order else _ascii(elements, data[start:].decode("ascii", "replace"))
+    columns = (
+        _binary(elements, data, start, order) if order else _ascii(elements, data[start:].decode("ascii", "replace"))
+    )
     if not {"x", "y", "z"} <= columns.get("vertex", {}).keys():
         raise MeshError("has no element vertex with x, y and z")
     vertices = np.stack([columns["vertex"][axis][0].astype(np.float64) for axis in "xyz"], axis=1)

@@ -127,6 +127,7 @@ def test_hints_within_a_mask(draw: Draw):
         (PICTURE * np.array([1.1, 0.9, 1.0]), "wrong colours: red 10 % too bright, green 10 % too dark"),
         (PICTURE * np.array([1.0, 1.0, 1.05]), "blue 5 % too bright"),
         (PICTURE[::-1], "misplaced"),
+        (0.995 * np.roll(PICTURE, 3, 0), "misplaced by "),
         (np.where(((X < 0.3) & (Y < 0.3))[..., None], 1.3, 1.0) * PICTURE, "most of all at tile x 0-15, y 0-15"),
     ],
 )

@@ -6,7 +6,7 @@ import numpy as np
 from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.replicates import CHANNELS
 from termwise.reports.statistics.sentence import tile_words
-from termwise.reports.statistics.verdict import PLACE_SIDE, Verdict
+from termwise.reports.statistics.verdict import PLACE_SIDE, TOLERATED_BIAS, Verdict
 from termwise.reports.statistics.welch import Comparison
 
 EVERYWHERE = 0.5
@@ -15,6 +15,10 @@ _WIDESPREAD = 0.2
 """Share of the tiles, of which noise shows a twentieth, above which an error is of the picture, not of a place."""
 _SEEN = 2.0
 """Standard errors beyond which a tile is seen to be off: it names a place and proves nothing."""
+
+
+_CANCELLED = 1 / 3
+"""Share of the differences of the tiles that are seen to be off below which their sum is no measure of them."""
 
 
 def headline(verdict: Verdict, statistics: Statistics) -> str:
@@ -30,7 +34,8 @@ def headline(verdict: Verdict, statistics: Statistics) -> str:
             return "black on both sides: nothing to compare"
         case "EQUIVALENT" | "AS PREDICTED":
             half = max(verdict.bias_high - verdict.bias, verdict.bias - verdict.bias_low)
-            return f"agrees: off by {_signed(verdict.bias)} ± {_share(half)}, and ±{_share(verdict.margin)} is allowed"
+            within = verdict.margin + verdict.allowance
+            return f"agrees: off by {_signed(verdict.bias)} ± {_share(half)}, and ±{_share(within)} is allowed"
         case "UNDERPOWERED":
             return _open(verdict, statistics)
         case _:
@@ -40,7 +45,7 @@ def headline(verdict: Verdict, statistics: Statistics) -> str:
 def _open(verdict: Verdict, statistics: Statistics) -> str:
     if verdict.samples_ratio is None:
         between = f"between {_signed(verdict.bias_low)} and {_signed(verdict.bias_high)}"
-        return f"not decided: {between}, likely off by more than ±{_share(verdict.margin)}"
+        return f"not decided: {between}, likely off by more than ±{_share(verdict.margin + verdict.allowance)}"
     if verdict.samples_to_margin is not None:
         return f"too noisy to say: needs {verdict.samples_to_margin} samples a pixel"
     if verdict.samples_ratio <= 1:
@@ -54,30 +59,33 @@ def _proven(verdict: Verdict, statistics: Statistics) -> str:
     if statistics.invalid:
         counts = [(statistics.non_finite, "NaN or infinite"), (statistics.negative, "negative")]
         return f"{' and '.join(f'{n} values {what}' for n, what in counts if n)}, the first at {verdict.place}"
-    image = [each for each in verdict.regions if each.region == "image"]
-    sure = [each for each in image if _outside_zero(each.family_low, each.family_high)]
+    limit = 0.0 if statistics.reference_is_zero else TOLERATED_BIAS + verdict.allowance
+    proven = [each for each in verdict.regions if _outside(each.family_low, each.family_high, limit)]
+    sure = [each for each in proven if each.region == "image"]
+    place = tile_words(verdict.tile)
+    rms = np.sqrt(max(theta.value for each in statistics.mean_square.values() for theta in each))
+    # Of a kernel the means alone are judged.
+    if _cancels(statistics) and any(not reason.startswith("mean of ") for reason in verdict.reasons):
+        mean = ", ".join(f"{each.channel} {_off(each.bias)}" for each in sure) or "right"
+        return f"misplaced by {_share(rms)} rms, most of all at {place}; on average {mean}"
     if sure:
         signs = {np.sign(each.bias) for each in sure}
         if len(signs) > 1:
             return "wrong colours: " + ", ".join(f"{each.channel} {_off(each.bias)}" for each in sure)
-        if len(sure) < len(CHANNELS) and not _outside_zero(verdict.family_low, verdict.family_high):
+        if len(sure) < len(CHANNELS) and not _outside(verdict.family_low, verdict.family_high, limit):
             return ", ".join(f"{each.channel} {_off(each.bias)}" for each in sure)
         largest = max(sure, key=lambda each: abs(each.bias))
         bias = verdict.bias if len(sure) == len(CHANNELS) else largest.bias
         who = "" if len(sure) == len(CHANNELS) else f"{largest.channel} "
         return f"{who}{_off(bias)}, {_where(verdict, statistics)}"
-    objects = [each for each in verdict.regions if each.region != "image"]
-    sure = [each for each in objects if _outside_zero(each.family_low, each.family_high)]
-    if sure:
-        worst = max(sure, key=lambda each: abs(each.bias))
+    if proven:
+        worst = max(proven, key=lambda each: abs(each.bias))
         return f"{worst.region} {_off(worst.bias)}, the image's mean is not seen to be off"
     tile = _tiles(statistics)
     x, y, _, _ = verdict.tile
     bias = float(tile.bias[y // PLACE_SIDE, x // PLACE_SIDE])
-    place = tile_words(verdict.tile)
     if (np.abs(tile.bias) > _SEEN * tile.standard_error).mean() < _WIDESPREAD and abs(bias) > _small(statistics):
         return f"{_off(bias)} at {place}, right on average"
-    rms = np.sqrt(max(theta.value for each in statistics.mean_square.values() for theta in each))
     return f"right on average, but misplaced by {_share(rms)} rms, most of all at {place}"
 
 
@@ -107,8 +115,15 @@ def _small(statistics: Statistics) -> float:
     return 3 * float(np.median(_tiles(statistics).standard_error))
 
 
-def _outside_zero(low: float | None, high: float | None) -> bool:
-    return low is not None and high is not None and (low > 0 or high < 0)
+def _cancels(statistics: Statistics) -> bool:
+    """Whether what is too bright makes up for what is too dark, so that the mean says little of the error."""
+    tiles = _tiles(statistics)
+    seen = (tiles.ours - tiles.reference)[np.abs(tiles.bias) > _SEEN * tiles.standard_error]
+    return bool(np.abs(seen.sum()) < _CANCELLED * np.abs(seen).sum())
+
+
+def _outside(low: float | None, high: float | None, limit: float) -> bool:
+    return low is not None and high is not None and (low > limit or high < -limit)
 
 
 def _off(bias: float) -> str:
