@@ -82,10 +82,11 @@ def _print_branch(rows: list[dict[str, Any]], found: Any) -> None:
     from rich.text import Text
     from rich.tree import Tree
 
+    from termwise.reports.pages.digits import interval
+
     def label(name: str, place: Any) -> Text:
         size = f", {place.pixels} pixels" if place.pixels > 1 else ""
-        interval = f"[{100 * place.low:+.2f}, {100 * place.high:+.2f}]"
-        return Text(f"{name}{size}: {100 * place.bias:+.2f} % {interval}  z = {place.z:+.1f}")
+        return Text(f"{name}{size}: {interval(place.bias, place.low, place.high)}  z = {place.z:+.1f}")
 
     row = rows[0]
     tree = Tree(Text(f"{row['scene']}: bias [90 %], z of luminance", "bold"))
@@ -105,9 +106,10 @@ def _print_branch(rows: list[dict[str, Any]], found: Any) -> None:
         if len(others) >= _SHOWN_PLACES:
             at.add(Text(f"{len(others) - _SHOWN_PLACES + 1} more", "dim"))
         at = inner
-    at.add(Text(f"mean {_numbers(found.ours)}  reference {_numbers(found.reference)}"))
+    at.add(Text(f"mean of ours  {_known(found.ours, found.ours_error)}"))
+    at.add(Text(f"reference     {_known(found.reference, found.reference_error)}"))
     if found.value is not None:
-        at.add(Text(f"replicate {found.replicate}: {_numbers(found.value)}"))
+        at.add(Text(f"replicate {found.replicate}: {'  '.join(f'{each:.7g}' for each in found.value)}"))
     for other in rows[1:_SHOWN_ROWS]:
         where = "" if other["scene"] == row["scene"] else f"{other['scene']}: "
         bias = "" if other["bias"] is None else f", {100 * other['bias']:+.2f} %"
@@ -238,6 +240,18 @@ def _print_replay(found: Any) -> None:
     if found.skipped is not None:
         terminal.say(f"no sample: {found.skipped}")
     terminal.say(f"pixel {_numbers(found.value)}")
+
+
+def _known(values: Any, errors: Any) -> str:
+    """Numbers to the second digit of their standard errors; where there is none, as float32 knows them."""
+
+    def shown(value: float, error: float) -> str:
+        if not (np.isfinite(value) and 0 < error < np.inf):
+            return f"{value:.7g}"
+        decimals = max(0, 1 - int(f"{error:.1e}".partition("e")[2]))
+        return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+
+    return "  ".join(map(shown, values, errors))
 
 
 def _numbers(values: Any) -> str:

@@ -5,6 +5,7 @@ import base64
 import fcntl
 import io
 import itertools
+import math
 import os
 import re
 import socket
@@ -28,6 +29,7 @@ from termwise.reports.live.inputs import Input, groups
 from termwise.reports.live.live import Frame, Live
 from termwise.reports.live.state import CHAIN, History, State, Steps
 from termwise.reports.live.truth import Truth, TruthView
+from termwise.reports.pages.digits import DASH, interval
 from termwise.reports.pages.pictures import display
 from termwise.reports.pages.pictures import save as save_png
 from termwise.reports.results.exr import write_exr
@@ -176,7 +178,7 @@ class Page:
             ):
                 ui.button(text, on_click=action).props("dense outline no-caps")
             self.pause = ui.switch("refine", value=True, on_change=lambda e: self.live.pause(not e.value))
-        with ui.row().classes("w-full no-wrap items-start gap-6"):
+        with ui.row().classes("panes w-full no-wrap items-start gap-6"):
             self.inputs = ui.column().classes("inputs shrink-0 gap-1").props('role=region aria-label="Inputs"')
             with ui.column().classes("grow min-w-0 gap-3"):
                 with ui.row().classes("items-center gap-4"):
@@ -658,9 +660,9 @@ def _plan_table(frame: Frame) -> str:
 
 def _verdict_table(view: TruthView) -> str:
     rows = [
-        (row.term, row.word, f"{100 * row.bias:+.3f} [{100 * row.low:+.3f}, {100 * row.high:+.3f}]", f"{row.rmse:.3g}")
+        (row.term, row.word, DASH if math.isnan(row.bias) else interval(row.bias, row.low, row.high), f"{row.rmse:.3g}")
         for row in view.rows
     ]
     words = "".join(f"<p>{escape(row.term)}: {escape(row.sentence)}</p>" for row in view.rows if row.sentence)
     said = f"<details class=words><summary>in words</summary>{words}</details>" if words else ""
-    return _table(("term", "verdict", "bias [90 %] in %", "RMSE"), rows, "Verdicts") + said
+    return _table(("term", "verdict", "bias [90 %]", "RMSE"), rows, "Verdicts") + said

@@ -19,7 +19,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator, ScalarFormatter
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFormatter, NullLocator, ScalarFormatter
 
 from termwise.reports.pages.charts import PARTS, fitted_curve
 from termwise.scenes.store import write_atomically
@@ -32,8 +32,8 @@ _COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#E69F00")
 _MARKS = "osD^v"
 _DASHES = ("-", "--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)))
 _HATCHES = ("", "////", "", "....", "")
-_DECADES = 50.0
-"""Errors over less are marked at 1, 2 and 5 times the powers of ten, written out."""
+_TICKS_ALONG, _TICKS_UP = 3, 6
+"""So many numbers have room on an axis of 30 mm, and beside one of 40 mm."""
 _STYLE: dict[Any, Any] = {
     "font.family": "STIXGeneral",
     "mathtext.fontset": "stix",
@@ -137,12 +137,12 @@ def convergence(rows: list[dict[str, Any]], what: str) -> Figure:
     for panel, label in zip(panels, ("samples per pixel $N$", "seconds"), strict=True):
         panel.set(xscale="log", yscale="log", xlabel=label)
     panels[0].set_ylabel("RMSE of one replicate (radiance)")
-    reached = panels[0].get_ylim()
-    if reached[1] / reached[0] < _DECADES:
-        panels[0].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    for panel in panels:
-        panel.yaxis.set_minor_formatter(NullFormatter())
+    for axis, most in ((panels[0].yaxis, _TICKS_UP), (panels[1].xaxis, _TICKS_ALONG)):
+        found = ticks(*sorted(axis.get_view_interval()), most)
+        axis.set_major_locator(FixedLocator(found))
+        axis.set_major_formatter(FixedFormatter(_written(found)))
+        axis.set_minor_formatter(NullFormatter())
+    panels[1].yaxis.set_minor_formatter(NullFormatter())
     every = sorted({row["samples"] for found in curves.values() for row in found})
     panels[0].xaxis.set_major_locator(FixedLocator(every[:: -(-len(every) // 5)]))
     panels[0].xaxis.set_major_formatter(ScalarFormatter())
@@ -150,6 +150,31 @@ def convergence(rows: list[dict[str, Any]], what: str) -> Figure:
     handles, labels = (sum(found, []) for found in zip(*(p.get_legend_handles_labels() for p in panels), strict=True))
     figure.legend(handles, labels, loc="outside upper center", ncols=2, columnspacing=1.2, handlelength=2.4)
     return figure
+
+
+def ticks(low: float, high: float, most: int) -> list[float]:
+    """Two to `most` places on a logarithmic axis: 1, 2 and 5 times the powers of ten, else as many of them as fit.
+
+    Where the axis is too short for two of them, places at equal distances.
+    """
+    first, last = (int(np.floor(np.log10(end))) for end in (low, high))
+    for steps, stride in ((1, 2, 5), 1), ((1, 3), 1), *(((1,), stride) for stride in range(1, last - first + 2)):
+        powers = (power for power in range(first, last + 1) if power % stride == 0)
+        found = [each for power in powers for step in steps if low <= (each := float(f"{step}e{power}")) <= high]
+        if 2 <= len(found) <= most:
+            return found
+    even = MaxNLocator(most, steps=[1, 2, 5, 10], min_n_ticks=2).tick_values(low, high)
+    found = [float(f"{each:.6g}") for each in even if low <= each <= high]
+    return found[:: -(-len(found) // most)]
+
+
+def _written(values: list[float]) -> list[str]:
+    """All of them as numbers that are easily read, or as multiples of powers of ten."""
+    if all(1e-3 <= value < 1e4 for value in values):
+        return [f"{value:g}" for value in values]
+    parts = [f"{value:.6e}".split("e") for value in values]
+    factors = ["" if float(factor) == 1 else rf"{float(factor):g} \times " for factor, _ in parts]
+    return [f"${factor}10^{{{int(power)}}}$" for factor, (_, power) in zip(factors, parts, strict=True)]
 
 
 def waterfall(rows: list[dict[str, Any]], what: str) -> Figure:

@@ -85,6 +85,7 @@ class Branch:
         first; the opened one of each is `object`, `tile`, `at`.
     pixel : (x, y) of `at`.
     ours, reference : its mean radiance.
+    ours_error, reference_error : standard error of each channel of it, NaN for a side that is one image.
     replicate, value : the replicate that is stored whole, and its float64 radiance there; None where none is.
     """
 
@@ -98,6 +99,8 @@ class Branch:
     pixel: tuple[int, int]
     ours: tuple[float, ...]
     reference: tuple[float, ...]
+    ours_error: tuple[float, ...]
+    reference_error: tuple[float, ...]
     replicate: int | None
     value: tuple[float, ...] | None
 
@@ -204,6 +207,8 @@ def branch(
         (x, y),
         tuple(map(float, dataset["image"].values[cell, y, x])),
         tuple(map(float, dataset["reference"].values[limit, y, x])),
+        tuple(map(float, np.sqrt(dataset["image_variance"].values[cell, y, x]))),
+        tuple(map(float, np.sqrt(dataset["reference_variance"].values[limit, y, x]))),
         None if replicate < 0 else replicate,
         None if replicate < 0 else value,
     )

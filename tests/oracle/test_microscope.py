@@ -1,6 +1,7 @@
 """From a run to a pixel: a planted bias is opened where it was planted, and the pixel stored is the one replayed."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -110,6 +111,12 @@ def test_the_tree_ends_with_the_line_that_replays_it(folder: Path, command: Comm
     assert status == 0
     assert "ambient cosine: " in output
     assert "object box" in output
+    # The digits of a pixel's mean are those that its standard error leaves.
+    (shown,) = (line for line in output.splitlines() if "mean of ours" in line)
+    for value, error in re.findall(r"([\d.]+) ± ([\d.]+)", shown):
+        assert len(value.partition(".")[2]) == len(error.partition(".")[2])
+        assert len(error.lstrip("0.")) == 2
+    assert shown.count("±") == 3
     line = output.splitlines()[-1]
     assert line.startswith(f"termwise replay --scene {folder / 'scene.toml'} --term ambient --variant cosine --x ")
     page = (folder / "compare" / "scenes" / "scene.html").read_text()

@@ -1,5 +1,6 @@
 """Charts for print: their size, embedded fonts and vectors, what they draw, and what they refuse."""
 
+import itertools
 import re
 import xml.etree.ElementTree as ElementTree
 from typing import Any
@@ -82,6 +83,25 @@ def test_convergence_draws_every_variant_against_samples_and_seconds():
         "paper ($a$ = 1.00)",
         r"$1/\sqrt{N}$",
     ]
+
+
+@pytest.mark.parametrize("seconds", [(1.2e-3, 7.9e-3), (0.004, 0.7), (31, 131), (1e-3, 1200), (0.011, 0.018), (7e-5, 8)])
+def test_numbers_of_the_axes_do_not_overlap(seconds):
+    """Drawn at its size, no label touches another; before, 2 × 10⁻³ and 3 × 10⁻³ stood in each other."""
+    rows = [row for variant in ("path", "photon-map") for row in rows_of(variant, 0.3)][:-1]
+    for row in rows:
+        share = np.log2(row["samples"]) / np.log2(SAMPLES[-1])
+        row["seconds"] = row["replicates"] * seconds[0] * (seconds[1] / seconds[0]) ** share
+    drawn = figure.convergence(rows, "room: direct")
+    drawn.draw_without_rendering()
+    for panel in drawn.axes:
+        for axis, ends in ((panel.xaxis, ("x0", "x1")), (panel.yaxis, ("y0", "y1"))):
+            shown = [label for label in axis.get_ticklabels(which="both") if label.get_visible() and label.get_text()]
+            low, high = axis.get_view_interval()
+            inside = [each for each in axis.get_majorticklocs() if low <= each <= high]
+            assert len(inside) >= 2
+            boxes = sorted((getattr(b, ends[0]), getattr(b, ends[1])) for b in (t.get_window_extent() for t in shown))
+            assert all(end < start for (_, end), (start, _) in itertools.pairwise(boxes))
 
 
 def test_series_differ_in_more_than_colour():

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from termwise.reports.live.inputs import groups
+from termwise.reports.live.page import _verdict_table
 from termwise.reports.live.state import History, State, command, get, invalidated, named, orbit, pan, put, zoom
+from termwise.reports.live.truth import TruthRow, TruthView
 from termwise.scenes.load import load
 from termwise.scenes.save import save
 from termwise.scenes.terms import TERMS
@@ -180,3 +182,13 @@ def test_the_command_names_what_differs(tmp_path):
     file = tmp_path / "my scene.toml"
     save(other.scene, file)
     assert shlex.split(command(other, file, 1))[:3] == ["termwise", "render", str(file)]
+
+
+def test_nothing_is_said_of_a_bias_before_the_first_look():
+    """Fewer than four replicates have no interval: a dash, not `nan`."""
+    row = TruthRow("direct", "none before 4 replicates", *[math.nan] * 3, 0.12, "", np.zeros((1, 1, 3), np.uint8), 0.1)
+    early = _verdict_table(TruthView(CUBES, 1, 16, 4, (row,)))
+    assert "nan" not in early
+    assert "<td>–</td><td>0.12</td>" in early
+    later = _verdict_table(TruthView(CUBES, 4, 16, 4, (attrs.evolve(row, bias=0.0123, low=-0.01, high=0.034),)))
+    assert "<td>+1.2\N{NARROW NO-BREAK SPACE}% [−1.0, +3.4]</td>" in later
