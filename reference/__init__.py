@@ -7,6 +7,7 @@ import hashlib
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -66,6 +67,10 @@ def render(
     spp, replicates, seed = whole("spp", spp), whole("replicates", replicates), seed_of(seed)
     scene = load(scene)
     limit = limit if isinstance(limit, Limit) else named(limit, scene)
+    from termwise.reference import backend
+
+    if words := backend.slow(backend.active()):
+        warnings.warn(words, stacklevel=2)
     compile_kernels(scene, limit)
     begin = time.perf_counter()
     images = []

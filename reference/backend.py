@@ -24,6 +24,7 @@ from termwise.scenes.store import ROOT, cache_folder, write_atomically
 
 VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
 PASSED = "passed"
+_ASKED = "asked for"
 _PROBE_SECONDS = 120
 
 
@@ -55,12 +56,12 @@ def choose(requested: str | None = None) -> Backend:
     if native.lacks_libatomic():
         raise BackendError("Mitsuba needs libatomic.so.1 (install libatomic1, on some systems called libatomic)")
     if requested == "scalar_rgb":
-        return Backend("scalar_rgb", None, "asked for")
+        return Backend("scalar_rgb", None, _ASKED)
     if requested == "cuda_ad_rgb":
         outcome = probe("cuda_ad_rgb")
         if outcome != PASSED:
             raise BackendError(f"cuda_ad_rgb: {outcome}")
-        return Backend("cuda_ad_rgb", None, "asked for")
+        return Backend("cuda_ad_rgb", None, _ASKED)
     failures = []
     for library in native.llvm_libraries():
         outcome = probe("llvm_ad_rgb", library)
@@ -72,6 +73,13 @@ def choose(requested: str | None = None) -> Backend:
     if requested == "llvm_ad_rgb":
         raise BackendError(f"llvm_ad_rgb: {reason}")
     return Backend("scalar_rgb", None, reason)
+
+
+def slow(backend: Backend) -> str:
+    """What is said where the variant is slow and nobody asked for it; else nothing."""
+    if backend.variant != "scalar_rgb" or backend.reason == _ASKED:
+        return ""
+    return f"references are rendered with {backend.variant}, which is slow: {backend.reason}"
 
 
 def probe(variant: str, llvm_path: Path | None = None) -> str:

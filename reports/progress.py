@@ -1,8 +1,10 @@
 """Progress of long work on standard error: a bar a stage with the time that is left; lines where is no terminal."""
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -21,15 +23,21 @@ def silent(what: str, done: int, total: int) -> None:
 
 
 @contextlib.contextmanager
-def stages(console: Console, *, quiet: bool = False) -> Iterator[Stages]:
+def stages(console: Console, *, quiet: bool = False, where: Path | str = "") -> Iterator[Stages]:
     """Show the progress of what is done in the context, or nothing at all if `quiet`.
 
-    The bars vanish with the context, so that results stand alone.
+    The bars vanish with the context, so that results stand alone. Where is no terminal, the first line says `where`
+    the results go: a log is read before they are there.
     """
     if quiet:
         yield lambda name: silent
     elif not console.is_terminal:
-        yield lambda name: _lines(console, name)
+        lines = _Lines(console, str(where))
+        threading.Thread(target=lines.beat, name="termwise progress", daemon=True).start()
+        try:
+            yield lines.stage
+        finally:
+            lines.end()
     else:
         columns = (
             TextColumn("{task.description}"),
@@ -51,16 +59,46 @@ def _bar(bars: Progress, name: str) -> Report:
     return report
 
 
-def _lines(console: Console, name: str) -> Report:
-    began = last = time.monotonic()
+class _Lines:
+    """Plain lines of the stage that runs: one every LINE_EVERY seconds, however seldom it reports."""
 
-    def report(what: str, done: int, total: int) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last < LINE_EVERY:
+    def __init__(self, console: Console, where: str) -> None:
+        self._console, self._where = console, where
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._name, self._state = "", ("", 0, 0)
+        self._began = self._last = self._reported = time.monotonic()
+
+    def stage(self, name: str) -> Report:
+        with self._lock:
+            self._name, self._state = name, ("", 0, 0)
+            self._began = self._last = self._reported = time.monotonic()
+        return self._report
+
+    def beat(self) -> None:
+        while not self._over.wait(LINE_EVERY):
+            with self._lock:
+                self._tell(time.monotonic())
+
+    def end(self) -> None:
+        self._over.set()
+
+    def _report(self, what: str, done: int, total: int) -> None:
+        with self._lock:
+            self._state, self._reported = (what, done, total), time.monotonic()
+            self._tell(self._reported)
+
+    def _tell(self, now: float) -> None:
+        if now - self._last < LINE_EVERY or not self._name:
             return
-        last = now
-        left = f", about {(now - began) / done * (total - done):.0f} s left" if 0 < done < total else ""
-        console.print(f"{name}: {done} of {total}{left}: {what}", highlight=False, markup=False)
-
-    return report
+        self._last = now
+        what, done, total = self._state
+        so_far = now - self._began
+        # What is under way has taken its share of the time that its kind took so far.
+        left = (self._reported - self._began) / done * (total - done) - (now - self._reported) if done else 0.0
+        time_said = (
+            f", about {left:.0f} s left" if left > 0 else "" if done == total > 0 else f", {so_far:.0f} s so far"
+        )
+        where, self._where = f"; results go to {self._where}" if self._where else "", ""
+        counted = f": {done} of {total}" if total else ""
+        text = f"{self._name}{counted}{time_said}{': ' if what else ''}{what}{where}"
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import attrs
 from cyclopts import Parameter
 
+from termwise.reports import progress
 from termwise.reports.cli import terminal
 from termwise.reports.cli.engines import OneEngine, Probed, Samples
 from termwise.reports.cli.terminal import Flag, Integer, Json, MaybeInteger, Resolution
@@ -167,9 +168,12 @@ def judge(
         from termwise.reports.judging.judge import judge as judged
 
         (case,) = cases
-        judgement = judged(case.images, case.reference, **(options | case.options))
-        judgement = attrs.evolve(judgement, settings=judgement.settings | case.settings)
-        page = judgement.save(folder, exposure=exposure, command=terminal.command())
+        with progress.stages(terminal.messages, quiet=json_, where=folder) as stage:
+            stage("Judging")("images against those of the reference", 0, 1)
+            judgement = judged(case.images, case.reference, **(options | case.options))
+            judgement = attrs.evolve(judgement, settings=judgement.settings | case.settings)
+            stage("Page")("pictures and numbers", 0, 1)
+            page = judgement.save(folder, exposure=exposure, command=terminal.command())
         outcomes = [suites.Outcome(" ".join(map(str, images)) or case.name, judgement, page)]
     if junit is not None:
         gates.junit(junit, outcomes, require, seconds=time.perf_counter() - start)

@@ -67,6 +67,7 @@ def rays(
             f"{row['mesh']}: built in {row['seconds']:.2f} s, {row['bytes_per_triangle']:.0f} bytes a triangle"
         )
     _print_machine(measured["machine"])
+    _say_where(out / "bench")
     return 0
 
 
@@ -123,6 +124,7 @@ def terms(
         soft_wrap=True,
     )
     _print_machine(measured["machine"])
+    _say_where(out / "bench")
     return 0
 
 
@@ -173,6 +175,7 @@ def scaling(
                 f"({case['of_processes_low']:.2f}-{case['of_processes_high']:.2f}) of as many processes."
             )
     _print_machine(measured["machine"])
+    _say_where(out / "bench")
     return 0
 
 
@@ -223,6 +226,7 @@ def reductions(
         soft_wrap=True,
     )
     _print_machine(measured["machine"])
+    _say_where(out / "bench")
     return 1 if failed else 0
 
 
@@ -276,6 +280,7 @@ def bench_view(
         soft_wrap=True,
     )
     _print_machine(measured["machine"])
+    _say_where(out / "bench")
     return 0
 
 
@@ -308,6 +313,7 @@ def stress(
     measured = _measured(out / "stress", "stress", run, page.write, quiet=quiet, json_=json_)
     if not json_:
         _print_stress(measured)
+        _say_where(out / "stress")
     return 1 if measured["failed"] else 0
 
 
@@ -368,7 +374,7 @@ def _measured(
     from termwise.reports.results import schema as stored
 
     terminal.folder(folder)
-    with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
+    with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
         measured = measure(report=stage(name.capitalize()))
     measured["command"] = terminal.command()
     stored.write(folder / f"{name}.json", measured)
@@ -381,3 +387,7 @@ def _measured(
 def _print_machine(machine: dict[str, Any]) -> None:
     text = f"{machine['processor']}, {machine['threads']} threads, load {machine['load']:.1f}"
     terminal.output.print(text)
+
+
+def _say_where(folder: Path) -> None:
+    terminal.output.print(f"\nReport: {(folder / 'index.html').resolve()}", soft_wrap=True)

@@ -1,5 +1,6 @@
 """Scenes and their images: render, reference, plan, scenes and view."""
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ def render(
     folder = terminal.folder(out / "render")
     terms = TERMS if term is None else (term,)
     variants = _variants(terms, variant or []) if term is None else _variant(term, variant or [])
-    with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
+    with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
         found = renderer.render_terms(
             described,
             variants,
@@ -135,7 +136,7 @@ def reference(
     from termwise import reference as mitsuba
     from termwise.scenes import limits
 
-    terminal.choose_backend(backend)
+    chosen = terminal.choose_backend(backend, quiet=quiet)
     described = terminal.scene(scene, resolution)
     terminal.check_seed(seed)
     if term is not None and term not in TERMS:
@@ -146,12 +147,11 @@ def reference(
         if term in (None, each)
     }
     if export is not None:
-        from termwise.reference.backend import active
         from termwise.reference.export import export as write
 
         write(described, dict(wanted), export, spp=spp, seed=seed, replicates=replicates)
         script = export / "render.py"
-        llvm = active().llvm_path
+        llvm = chosen.llvm_path
         if json_:
             terminal.say_json({"scene": described.name, "script": str(script)})
         else:
@@ -161,12 +161,21 @@ def reference(
         return 0
     folder = terminal.folder(out / "reference")
     found = {}
-    with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
-        report = stage("Terms")
+    with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
+        report, total = stage("Replicates of all terms"), len(wanted) * replicates
         for each, limit in wanted.items():
-            report(each, len(found), len(wanted))
-            found[each] = mitsuba.render(described, limit, spp=spp, seed=seed, replicates=replicates)
-    return _write_images(described, found, folder, {"spp": spp, "replicates": replicates, "seed": seed}, json_)
+            count = itertools.count(len(found) * replicates)
+            report(f"{each}, compiling", next(count), total)
+            found[each] = mitsuba.render(
+                described,
+                limit,
+                spp=spp,
+                seed=seed,
+                replicates=replicates,
+                progress=lambda each=each, count=count: report(each, next(count), total),
+            )
+    settings = {"spp": spp, "replicates": replicates, "seed": seed, "backend": chosen.variant}
+    return _write_images(described, found, folder, settings, json_)
 
 
 def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dict[str, Any], as_json: bool) -> int:

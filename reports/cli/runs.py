@@ -68,7 +68,7 @@ def compare(
     from termwise.reports.study import study as studies
     from termwise.reports.study import subjects
 
-    mitsuba = terminal.choose_backend(backend)
+    mitsuba = terminal.choose_backend(backend, quiet=quiet).variant
     if estimators is not None:
         run_file(estimators)
         for term, name, why in studies.unkept():
@@ -87,7 +87,7 @@ def compare(
         terminal.messages.print(f"termwise: {error}; it is written again", highlight=False, markup=False)
         results = None
     if results is None:
-        with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
+        with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
             named = {scene.name: given for scene, given in zip(prepared, scenes or chosen.scenes, strict=True)}
             with _executor(workers, scheduler, estimators) as executor:
                 results = run.measure(

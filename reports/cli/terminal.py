@@ -1,9 +1,12 @@
 """What all commands share: the two streams, the types of options, tables, and how a fault is said."""
 
+import os
+import re
 import shlex
 import sys
+import warnings
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import attrs
 from cyclopts import Parameter
@@ -12,6 +15,9 @@ from rich.table import Table
 
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
+
+if TYPE_CHECKING:
+    from termwise.reference.backend import Backend as Chosen
 
 messages = Console(stderr=True, soft_wrap=True)
 output = Console()
@@ -80,11 +86,22 @@ def check_seed(seed: int) -> None:
         raise ValueError(f"seed = {seed}: allowed is an integer in [0, {2**31 - 1}]")
 
 
-def choose_backend(requested: str | None) -> str:
-    """Mitsuba's variant: the one requested, else the fastest that runs here."""
+def choose_backend(requested: str | None, *, quiet: bool = False) -> "Chosen":
+    """Mitsuba's variant, for all that this command starts: the one requested, else the fastest that runs here.
+
+    One that is slow and was not asked for is named, unless `quiet`.
+    """
     from termwise.reference import backend
 
-    return backend.choose(requested).variant
+    chosen = backend.choose(requested)
+    if requested is not None:
+        os.environ["TERMWISE_BACKEND"] = requested  # read wherever Mitsuba is loaded, in other processes too
+    words = backend.slow(chosen)
+    if words:
+        warnings.filterwarnings("ignore", message=re.escape(words))  # said here, once
+        if not quiet:
+            messages.print(f"termwise: {words}", highlight=False, markup=False)
+    return chosen
 
 
 def folder(path: Path) -> Path:

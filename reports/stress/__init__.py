@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
 
+from termwise.reference import backend
 from termwise.reports.bench.common import known, machine, positive
 from termwise.reports.stress import garbage, intersection, lights, photons, radiance, rounding, shading
 from termwise.reports.stress.row import SIDES, Row
@@ -74,7 +75,12 @@ def measure(
         "failed": sum(not each["passed"] for each in cases),
         "properties": {name: _property(GROUPS[name]) for name in groups or GROUPS},
         "seconds": time.perf_counter() - begin,
-        "settings": {"count": count, "groups": list(groups or GROUPS), "sides": list(sides)},
+        "settings": {
+            "count": count,
+            "groups": list(groups or GROUPS),
+            "sides": list(sides),
+            "backend": backend.choose().variant,
+        },
         "machine": about,
     }
 

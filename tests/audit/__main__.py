@@ -242,7 +242,10 @@ def main(
     quiet
         No progress on standard error.
     """
-    with _executor(jobs, workers, scheduler) as executor, progress.stages(Console(stderr=True), quiet=quiet) as stages:
+    with (
+        _executor(jobs, workers, scheduler) as executor,
+        progress.stages(Console(stderr=True), quiet=quiet, where=out / "audit") as stages,
+    ):
         results = audit(seed=seed, executor=executor, stages=stages)
     console = Console(width=None if sys.stdout.isatty() else 140)
     show(console, results)

@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
 
 from termwise.reference import backend, native
+from termwise.reports.cli import terminal
 
 
 @pytest.fixture(autouse=True)
@@ -178,6 +180,23 @@ def test_variable_forces_the_variant_and_an_argument_goes_before_it(two_llvms, m
     monkeypatch.setenv("TERMWISE_BACKEND", "scalar_rgb")
     assert backend.choose().variant == "scalar_rgb"
     assert backend.choose("llvm_ad_rgb").variant == "llvm_ad_rgb"
+
+
+def test_a_slow_variant_is_named_unless_it_was_asked_for(two_llvms, monkeypatch, capsys):
+    """Of a command; and what it is asked for is what Mitsuba is loaded with, here and in its workers."""
+    monkeypatch.setenv("TERMWISE_BACKEND", "")
+    two_llvms.clear()
+    with warnings.catch_warnings():
+        assert terminal.choose_backend(None).variant == "scalar_rgb"
+        said = " ".join(capsys.readouterr().err.split())
+        assert said.startswith("termwise: references are rendered with scalar_rgb, which is slow: bad: broke")
+        terminal.choose_backend(None, quiet=True)
+        assert terminal.choose_backend("scalar_rgb").variant == "scalar_rgb"
+    assert capsys.readouterr().err == ""
+    two_llvms.append("good")
+    assert backend.choose().variant == "scalar_rgb"
+    assert terminal.choose_backend("llvm_ad_rgb").variant == "llvm_ad_rgb"
+    assert backend.choose().variant == "llvm_ad_rgb"
 
 
 def test_unknown_variant_is_named_with_what_is_allowed(monkeypatch):

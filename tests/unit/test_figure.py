@@ -85,7 +85,9 @@ def test_convergence_draws_every_variant_against_samples_and_seconds():
     ]
 
 
-@pytest.mark.parametrize("seconds", [(1.2e-3, 7.9e-3), (0.004, 0.7), (31, 131), (1e-3, 1200), (0.011, 0.018), (7e-5, 8)])
+@pytest.mark.parametrize(
+    "seconds", [(1.2e-3, 7.9e-3), (0.004, 0.7), (31, 131), (1e-3, 1200), (0.011, 0.018), (7e-5, 8)]
+)
 def test_numbers_of_the_axes_do_not_overlap(seconds):
     """Drawn at its size, no label touches another; before, 2 × 10⁻³ and 3 × 10⁻³ stood in each other."""
     rows = [row for variant in ("path", "photon-map") for row in rows_of(variant, 0.3)][:-1]
