@@ -1,6 +1,7 @@
 """What all lanes share."""
 
 import os
+from collections.abc import Iterator
 
 import pytest
 
@@ -12,3 +13,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 def compiled() -> bool:
     """Whether kernels are compiled; as plain Python (NUMBA_DISABLE_JIT=1) tests keep their sizes small."""
     return os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
+
+
+@pytest.fixture
+def _tables() -> Iterator[None]:
+    """Estimators that a test registers are gone after it."""
+    from termwise.renderer.terms import VARIANTS
+
+    before = {term: dict(table) for term, table in VARIANTS.items()}
+    yield
+    for term, table in VARIANTS.items():
+        table.clear()
+        table.update(before[term])

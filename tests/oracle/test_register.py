@@ -5,8 +5,6 @@ samples differ: with an open share A of the hemisphere a sample is 1 or 0, and t
 tends to `A^2.2 < A`. The cosine estimator that it is built on must stay EQUIVALENT in the same run.
 """
 
-from collections.abc import Iterator
-
 import attrs
 import numpy as np
 import pytest
@@ -23,15 +21,7 @@ from tests.scenes import small
 
 EXAMPLE = ROOT / "examples" / "gamma_space.py"
 
-
-@pytest.fixture(autouse=True)
-def tables() -> Iterator[None]:
-    """Put the tables back as they were."""
-    before = {term: dict(table) for term, table in VARIANTS.items()}
-    yield
-    for term, table in VARIANTS.items():
-        table.clear()
-        table.update(before[term])
+pytestmark = pytest.mark.usefixtures("_tables")
 
 
 def black(scene, samples, seed):

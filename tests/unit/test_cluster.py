@@ -27,6 +27,7 @@ from termwise.scenes.store import cache_folder, write_atomically
 from tests.scenes import small
 
 pytestmark = [
+    pytest.mark.usefixtures("_tables"),
     pytest.mark.slow,
     pytest.mark.skipif(
         os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="workers render, which as plain Python takes minutes"
