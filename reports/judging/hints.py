@@ -5,6 +5,9 @@ explain the error are found on the mean images; each is then undone on every rep
 judged as the given ones were, and the cause is said only if no error of theirs is proven and at least half of the
 distance `D`, `D² = Σ_c δ_c² + Σ_b θ_b` (the mean of each channel, the shape over blocks of each size), is gone: noise
 that hides an error is no explanation of it.
+
+Of a large image a part is judged first, the one where most of the error is left: a cause that an error of this part
+refutes, at the level that each place has in the whole, is not tried on the rest.
 """
 
 import itertools
@@ -42,6 +45,10 @@ FACTORS = {
 }
 """Factors that have a name: solid angles, halves, luminous efficacy in lm/W."""
 _FACTOR_NEAR = 0.005
+PART = 512
+"""Side in pixels of the part that is judged first, in images of more than twice as many of them."""
+_STEP = 64
+"""Places of parts, whole tiles."""
 _PROMISING = 0.25
 """Share of the mean square error of the mean images that a correction may leave to be tried on the replicates."""
 _SURE = 4.0
@@ -138,13 +145,22 @@ class _Halves:
 
         return _Halves(luminance(self.ours), luminance(self.reference))
 
-    def left(self, correction: Correction) -> float:
-        """Mean square error that a correction leaves, without noise: a product of two halves has none in its mean."""
+    def squares(self, correction: Correction) -> Image:
+        """Square error that a correction leaves, without noise: a product of two halves has none in its mean."""
         first, second = (
             _inner(correction.ours(ours) - correction.reference(reference), correction.margin)
             for ours, reference in zip(self.ours, self.reference, strict=True)
         )
-        return float(np.mean(first * second))
+        return first * second
+
+    def left(self, correction: Correction) -> float:
+        """Mean of it."""
+        return float(np.mean(self.squares(correction)))
+
+    @property
+    def pixels(self) -> int:
+        """Of an image."""
+        return self.ours[0][..., 0].size
 
     def noise(self, margin: int) -> float:
         """Standard error of what `left` finds where nothing differs."""
@@ -177,6 +193,12 @@ def hints(
     far = _distance(statistics)
 
     def tried(correction: Correction) -> Hint | None:
+        if (part := _worst_part(correction, halves)) is not None:
+            found = _measured(correction, ours, reference, groups, mask, statistics.exact, part)
+            # Each of its places has the level that it has in the whole.
+            tests = 0 if found is None else math.ceil(found.tests * halves.pixels / (found.height * found.width))
+            if found and rule.decide(found, tests=tests, margin=margin, level=level).verdict == "BIASED":
+                return None
         found = _measured(correction, ours, reference, groups, mask, statistics.exact)
         if found is None:
             return None
@@ -218,6 +240,19 @@ def _inner(image: Image, margin: int) -> Image:
     return image[margin : image.shape[0] - margin, margin : image.shape[1] - margin]
 
 
+def _worst_part(correction: Correction, halves: _Halves) -> tuple[slice, slice] | None:
+    """Where the most is left, within the margin of the correction; None of a small image, which is judged whole."""
+    if halves.pixels <= 2 * PART**2:
+        return None
+    squares = halves.squares(correction).sum(axis=2)
+    height, width = (size // _STEP for size in squares.shape)
+    cells = squares[: height * _STEP, : width * _STEP].reshape(height, _STEP, width, _STEP).sum(axis=(1, 3))
+    rows, columns = (min(size, PART // _STEP) for size in (height, width))
+    windows = np.lib.stride_tricks.sliding_window_view(cells, (rows, columns)).sum(axis=(2, 3))
+    y, x = (int(at) * _STEP for at in np.unravel_index(np.argmax(windows), windows.shape))
+    return slice(y, y + rows * _STEP), slice(x, x + columns * _STEP)
+
+
 def _measured(
     correction: Correction,
     ours: np.ndarray,
@@ -225,8 +260,9 @@ def _measured(
     groups: list[list[slice]],
     mask: np.ndarray | None,
     exact: bool,
+    part: tuple[slice, slice] = (slice(None), slice(None)),
 ) -> Statistics | None:
-    """The corrected replicates as they are judged; None where nothing of them is left."""
+    """The corrected replicates, or a part of them, as they are judged; None where nothing of them is left."""
     if min(ours.shape[1:3]) <= 2 * correction.margin:
         return None
     inside = mask
@@ -236,22 +272,23 @@ def _measured(
         ]
         inside = np.logical_and(*(each > 0.999 for each in both))
     if inside is not None:
-        inside = _inner(inside, correction.margin)
+        inside = _inner(inside, correction.margin)[part]
         if not inside.any():
             return None
     sides = []
     for stack, change, its in ((ours, correction.ours, groups[0]), (reference, correction.reference, groups[1])):
         if change is _same and len(its) == len(stack):
-            sides.append(
-                np.asarray(stack)[
-                    :,
-                    correction.margin : stack.shape[1] - correction.margin,
-                    correction.margin : stack.shape[2] - correction.margin,
-                ]
-            )
+            images = np.moveaxis(np.asarray(stack), 0, -1)
+            sides.append(np.moveaxis(_inner(images, correction.margin)[part], -1, 0))
             continue
-        made = [np.mean([change(image) for image in stack[each]], axis=0) for each in its]
-        sides.append(np.stack([_inner(image, correction.margin) for image in made]))
+        made = np.empty(0)
+        for number, each in enumerate(its):
+            image = np.mean([change(image) for image in stack[each]], axis=0)
+            kept = _inner(image, correction.margin)[part]
+            if not number:  # one by one: a list of large images would be a second stack
+                made = np.empty((len(its), *kept.shape), kept.dtype)
+            made[number] = kept
+        sides.append(made)
     try:
         return accumulation.measure(*sides, mask=inside, exact=exact, allow_negative=True)
     except ValueError:  # a correction may make what no comparison takes: all black, say

@@ -366,7 +366,9 @@ def mean_and_variance(stack: np.ndarray) -> TermImage:
     with np.errstate(invalid="ignore", over="ignore"):
         for top, band in bands(stack):
             rows = slice(top, top + band.shape[1])
-            mean[rows] = band.mean(axis=0)
+            mean[rows] = of_band = band.mean(axis=0)
             if count > 1:
-                variance[rows] = band.var(axis=0, ddof=1) / count
+                band -= of_band  # as `np.var` does, which would take the mean again
+                band *= band
+                variance[rows] = band.sum(axis=0) / (count - 1) / count
     return TermImage(mean, variance, samples=0, replicates=count, seconds=0.0)

@@ -6,8 +6,12 @@ pixels and over blocks of 2 and 8 px (`jackknife`). A mean tells a bias of a who
 is, a square what cancels in every mean.
 """
 
-from collections.abc import Callable, Sequence
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
+from typing import Any
 
 import attrs
 import numpy as np
@@ -182,11 +186,13 @@ def measure(
     called = labels("ours", count, names) + labels("reference", len(reference), reference_names)
     sums = _Sums(sizes, ours.shape[1:3], objects, mask, float(np.hypot(*quantum)))
     equality, invalid = Equality(sum(sizes)), Invalid(called, count, allow_negative)
-    for top, band in bands(ours, reference):
-        if mask is not None:
-            band[:, ~mask[top : top + band.shape[1]]] = 0.0
-        equality.read(band)
-        sums.read(top, invalid.replaced(top, band))
+    with _mapping(ours.shape[2] > _PART) as in_order:
+        for top, band in bands(ours, reference):
+            if mask is not None:
+                band[:, ~mask[top : top + band.shape[1]]] = 0.0
+            compared = in_order(equality.read, [band])
+            sums.read(top, invalid.replaced(top, band), in_order)
+            list(compared)
 
     warnings = equality.warnings(called, count, noiseless)
     warnings += _few("ours", count) + ([] if exact else _few("the reference", len(reference)))
@@ -227,6 +233,16 @@ def measure(
         invalid=tuple(invalid.first[:LISTED_PIXELS]),
         warnings=tuple(warnings),
     )
+
+
+@contextlib.contextmanager
+def _mapping(threaded: bool) -> Iterator[Callable[..., Iterable[Any]]]:
+    """`map`, or one that has a thread for each core; results come in order, so that no bit depends on which."""
+    if not threaded:
+        yield map
+        return
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield pool.map
 
 
 def _named(objects: np.ndarray, names: Sequence[str]) -> list[str]:
@@ -279,15 +295,20 @@ class _Sums:
         self._areas: list[np.ndarray] = []
         self._cumulants: list[np.ndarray] = []
 
-    def read(self, top: int, band: np.ndarray) -> None:
-        """Add a band (n, rows, W, 3) of finite values that begins at row `top`."""
+    def read(self, top: int, band: np.ndarray, in_order: Callable[..., Iterable[Any]]) -> None:
+        """Add a band (n, rows, W, 3) of finite values that begins at row `top`; `in_order` is `map` or like it."""
         inside = self.mask[top : top + band.shape[1]].astype(np.float64)
         self.brightest = max(self.brightest, float(band.max()))
         last = top + band.shape[1] == self.shape[0]
         lines = band[:, 0] * (top == 0), band[:, -1] * last, band[:, :, 0], band[:, :, -1]
         self.borders += [line.sum(axis=1) for line in lines]
-        parts = (slice(left, left + _PART) for left in range(0, band.shape[2], _PART))
-        cells, of_pixels = zip(*(self._read_part(inside[:, part], band[:, :, part]) for part in parts), strict=True)
+        parts = [slice(left, left + _PART) for left in range(0, band.shape[2], _PART)]
+        read = in_order(self._of_part, [inside[:, part] for part in parts], [band[:, :, part] for part in parts])
+        cells, of_pixels, squares, products = zip(*read, strict=True)
+        for square, of_sides in zip(squares, products, strict=True):
+            self.reference_square += square
+            for side, product in of_sides.items():
+                self.products[side] += product
         self._rows.append(np.concatenate(cells, axis=-1))
         self._cumulants.append(np.concatenate(of_pixels, axis=-1))
         self._areas.append(block_sums(inside, CELL))
@@ -296,11 +317,17 @@ class _Sums:
         if self.objects is not None:
             self._read_objects(self.objects[top : top + band.shape[1]], band)
 
-    def _read_part(self, inside: np.ndarray, band: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sums over cells (3, n, ...) of a part that fits a cache, and the cumulants of its pixels (2, 2, 4, ...)."""
+    def _of_part(
+        self, inside: np.ndarray, band: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[int, np.ndarray]]:
+        """Of a part that fits a cache: sums over cells (3, n, ...), cumulants of its pixels (2, 2, 4, ...).
+
+        And what it adds to `reference_square` and to `products`.
+        """
         values = quantities(np.moveaxis(band, -1, 0))
         reference = values[:, self.sizes[0] :].reshape(4, -1)
-        self.reference_square += np.einsum("ij,ij->i", reference, reference)
+        square = np.einsum("ij,ij->i", reference, reference)
+        products = {}
         blocks = {1: values, 2: block_sums(values, 2)}
         cells = block_sums(blocks[2], CELL // 2)
         blocks[TILE_SIDES[0]] = block_sums(cells, TILE_SIDES[0] // CELL)
@@ -308,9 +335,9 @@ class _Sums:
             each -= each.mean(axis=1, keepdims=True)
             if side > 1:
                 each /= np.sqrt(np.maximum(block_sums(inside, side), 1))
-            self.products[side] += [inner_products(quantity) for quantity in each]
+            products[side] = np.array([inner_products(quantity) for quantity in each])
         of_pixels = [cumulants(each, axis=1) for each in (values[:, : self.sizes[0]], values[:, self.sizes[0] :])]
-        return cells[1:], block_sums(np.array(of_pixels), TILE_SIDES[0])
+        return cells[1:], block_sums(np.array(of_pixels), TILE_SIDES[0]), square, products
 
     def _read_objects(self, objects: np.ndarray, band: np.ndarray) -> None:
         at = np.asarray(objects).ravel()

@@ -79,13 +79,18 @@ def labels(side: str, count: int, names: Sequence[str]) -> list[str]:
 
 
 def bands(*groups: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """First row and float64 pixels (replicates of all groups, rows, W, 3) of bands of whole 32-px tiles."""
+    """First row and float64 pixels (replicates of all groups, rows, W, 3), a copy, of bands of whole 32-px tiles."""
     height, width = groups[0].shape[1:3]
     tallest = TILE_SIDES[-1]
     row = sum(len(group) for group in groups) * width * 3 * 8
     rows = max(1, BAND_BYTES // (row * tallest)) * tallest
     for top in range(0, height, rows):
-        yield top, np.concatenate([group[:, top : top + rows] for group in groups]).astype(np.float64)
+        band = np.empty((sum(map(len, groups)), min(rows, height - top), width, 3))
+        start = 0
+        for group in groups:
+            band[start : start + len(group)] = group[:, top : top + rows]
+            start += len(group)
+        yield top, band
 
 
 def luminance_of(rgb: np.ndarray) -> np.ndarray:

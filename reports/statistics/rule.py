@@ -263,8 +263,8 @@ def _invalid_values(statistics: Statistics) -> list[_Finding]:
 
 def _outside(
     comparison: Comparison, level: np.ndarray | float, limit: float, missing: bool = False
-) -> list[tuple[int, str]]:
-    """Flat index and interval of each place that lies wholly outside ±limit, the surest first.
+) -> tuple[np.ndarray, Callable[[int], str]]:
+    """Flat indices of the places that lie wholly outside ±limit, the surest first, and the words for one of them.
 
     `missing` chooses those that rare events may explain, which no replicate met: no proof.
     """
@@ -277,7 +277,8 @@ def _outside(
     low, high = places.interval(level)
     explained = np.abs(places.bias) <= places.missing(level)
 
-    def text(i: int) -> str:
+    def text(index: int) -> str:  # of a large image a million places may be outside, and two are named
+        i = int(np.flatnonzero(order == index)[0])
         bias = places.bias[i]
         interval = f"{percent(bias)} [{percent(low[i])}, {percent(high[i])}]"
         if not missing:
@@ -286,17 +287,17 @@ def _outside(
             f"{interval}, no proof: {abs(bias) / places.unseen[i]:.2g} rare events, as bright as others, may be missing"
         )
 
-    outside = np.flatnonzero(((low > limit) | (high < -limit)) & (explained == missing)).tolist()
-    return [(int(order[i]), text(i)) for i in outside]
+    return order[((low > limit) | (high < -limit)) & (explained == missing)], text
 
 
 def _mean_errors(statistics: Statistics, level: float, limit: float, missing: bool = False) -> list[_Finding]:
     """Rule 2a."""
     findings = []
-    for index, interval in _outside(statistics.regions, level, limit, missing):
+    outside, interval = _outside(statistics.regions, level, limit, missing)
+    for index in outside.tolist():
         region, channel = divmod(index, len(CHANNELS))
         place = f"{statistics.region_names[region]}, {CHANNELS[channel]}"
-        findings.append(_Finding(f"mean of {place}: {interval}", place))
+        findings.append(_Finding(f"mean of {place}: {interval(index)}", place))
     return findings
 
 
@@ -350,21 +351,19 @@ def _place_errors(
     findings = []
     for name, comparison, words in _places(statistics):
         each_level, count = _place_level(comparison, level), comparison.bias[0].size
-        found = _outside(comparison, each_level, 0.0 if tolerated else limit, missing)
+        found, interval = _outside(comparison, each_level, 0.0 if tolerated else limit, missing)
         if tolerated:
-            beyond = {index for index, _ in _outside(comparison, each_level, limit)}
-            found = [each for each in found if each[0] not in beyond]
-        if not found:
+            beyond, _ = _outside(comparison, each_level, limit)
+            found = found[~np.isin(found, beyond)]
+        if not found.size:
             continue
-        index, interval = found[0]
-        of, at = divmod(index, count)
+        of, at = divmod(int(found[0]), count)
         # Where luminance is off as well, that says more than the channel that is off most surely.
-        by_index = dict(found)
-        if at in by_index:
-            of, interval = 0, by_index[at]
-        number = len({index % count for index, _ in found})
-        place = f"{words(at)}{_of(of)}"
-        findings.append(_Finding(f"{place}: {interval}, the surest of {number} of {count} {name}", place))
+        if at in found:
+            of = 0
+        number = len(np.unique(found % count))
+        place, words_of_it = f"{words(at)}{_of(of)}", interval(of * count + at)
+        findings.append(_Finding(f"{place}: {words_of_it}, the surest of {number} of {count} {name}", place))
     return findings
 
 
