@@ -26,4 +26,6 @@ def mathml(latex: str, *, block: bool = False) -> Markup:
         raise ValueError(f"equation = {latex!r}: is not LaTeX that can be shown ({type(error).__name__})") from None
     for wrong, right in _REPAIRS:
         markup = wrong.sub(right, markup)
-    return Markup(markup.replace("<math ", Markup('<math alttext="{}" ').format(latex), 1))
+    # What is wider than a narrow screen scrolls, by keys too.
+    focus = ' tabindex="0"' if block else ""
+    return Markup(markup.replace("<math ", Markup('<math alttext="{}"' + focus + " ").format(latex), 1))

@@ -6,13 +6,16 @@ a hint that names it is right; a fault of another kind has none.
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import termwise
+from termwise.reports.judging import hints
 from termwise.reports.judging.suite import slug
 from termwise.reports.results.exr import write_exr
+from termwise.reports.statistics import accumulation
 from termwise.scenes.terms import TermImage
 
 SIZE = 48
@@ -102,6 +105,28 @@ def test_a_cause_of_another_kind_has_no_hint(draw: Draw):
     assert hinted(termwise.judge(draw(PICTURE * half), draw())) == ""
     assert termwise.judge(draw(), draw()).hints == ()
     assert termwise.judge(draw(change=lambda image: 1.05 * image), draw(), hint=False).hints == ()
+
+
+def test_a_cause_is_refuted_on_a_part_of_a_large_image(draw: Draw, monkeypatch: pytest.MonkeyPatch):
+    """What is no cause is not tried on the whole; what is one is found as in small images."""
+    monkeypatch.setattr(hints, "PART", 16)
+    monkeypatch.setattr(hints, "_STEP", 8)
+    whole, sizes = accumulation.measure, []
+
+    def measured(ours: np.ndarray, *arguments: Any, **options: Any) -> Any:
+        sizes.append(ours.shape[1:3])
+        return whole(ours, *arguments, **options)
+
+    monkeypatch.setattr(hints.accumulation, "measure", measured)
+    half = np.where(X[..., None] < 0.5, 1.05, 1.0)
+    assert hinted(termwise.judge(draw(PICTURE * half), draw())) == ""
+    first, *others = sizes
+    assert first == (SIZE, SIZE)
+    assert len(others) >= 3
+    assert set(others) == {(16, 16)}
+    sizes.clear()
+    assert "shifted by 2 px to the left" in hinted(termwise.judge(draw(change=lambda i: np.roll(i, 2, 1)), draw()))
+    assert max(sizes[1:]) == (SIZE - 6, SIZE - 6)
 
 
 def test_hints_within_a_mask(draw: Draw):
