@@ -1,6 +1,5 @@
 """Other renderers: furnace, and what compare, render and judge do with --engine."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,7 +55,7 @@ def furnace(
         raise ValueError("engine: none given: allowed is --engine with the path or the name of one")
     how = judging.Asking(replicates=judging.enough(replicates), seed=seed, spp=spp, threads=threads, probed=probe)
     folder = terminal.folder(out / "furnace")
-    with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
+    with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
         judged = judging.furnace(found, folder, how, command=terminal.command(), report=stage("Furnaces"))
     return say(judged, folder, json_)
 
@@ -87,7 +86,7 @@ def compare(
     prepared = [neutral.diffuse(scene) if diffuse else scene for scene in scenes_of(study, scenes)]
     how = judging.Asking(replicates=study.replicates, seed=study.seed, spp=spp, threads=threads, probed=probe)
     folder = terminal.folder(out / "engines")
-    with progress.stages(terminal.messages, quiet=quiet or json_) as stage:
+    with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
         judged = judging.compare(
             found,
             prepared,
@@ -121,7 +120,7 @@ def say(judged: Any, folder: Path, json_: bool) -> int:
     if json_:
         unjudged = [{"name": each.name, "verdict": each.word, "reason": each.reason} for each in judged.unjudged]
         cases = rows(judged.outcomes, folder)
-        print(json.dumps({"status": status, "page": str(index), "cases": cases, "unjudged": unjudged}))
+        terminal.say_json({"status": status, "page": str(index), "cases": cases, "unjudged": unjudged})
         return status
     for note in judged.notes:
         terminal.messages.print(f"termwise: {note}", soft_wrap=True, highlight=False, markup=False)

@@ -1,7 +1,6 @@
 """Scenes as files of other renderers: export."""
 
 import importlib
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -54,7 +53,7 @@ def export(
     for line in missing:
         terminal.messages.print(f"termwise: {path.name}: {line}", soft_wrap=True, highlight=False, markup=False)
     if json_:
-        print(json.dumps({"scene": described.name, "to": to, "file": str(path), "left_out": missing}))
+        terminal.say_json({"scene": described.name, "to": to, "file": str(path), "left_out": missing})
     else:
         terminal.say(str(path), markup=False)
     return 0

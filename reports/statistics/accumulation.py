@@ -35,7 +35,7 @@ from termwise.reports.statistics.replicates import (
     quantities,
     stacked,
 )
-from termwise.reports.statistics.verdict import SHAPE_LIMITS
+from termwise.reports.statistics.verdict import DOMINATED, SHAPE_LIMITS
 from termwise.reports.statistics.welch import (
     TERM_FLOOR,
     ULP_FLOOR,
@@ -75,6 +75,10 @@ class Statistics:
     regions : Comparison of (regions, 3), means per region and channel, relative to the reference's mean there or to 10
         % of `term_mean` where that is larger.
     luminance : Comparison of (), the image's luminance, relative to `term_mean`.
+    rest : Comparison of (), or None
+        Where a few bright pixels are most of the image's mean, which is blind to the others then: luminance of the lit
+        8-px tiles that are darker than it, each relative to the larger of its own mean and the typical one, on average.
+        None elsewhere.
     tiles : luminance, red, green and blue per tile of 8, 16 and 32 px, (4, ceil(H/side), ceil(W/side)), relative to the
         larger of the tile's reference mean and the typical one.
     windows : the same of windows of 8 px, one every 4 px, (4, ceil(H/4) - 1, ceil(W/4) - 1).
@@ -102,6 +106,7 @@ class Statistics:
     region_names: tuple[str, ...]
     regions: Comparison
     luminance: Comparison
+    rest: Comparison | None
     tiles: dict[int, Comparison]
     windows: Comparison
     borders: Comparison
@@ -217,6 +222,7 @@ def measure(
         region_names=(IMAGE, *_named(sums.objects_present, object_names)),
         regions=compare(regions, sums.areas[:, None], term_mean * (1 if reference_is_zero else 0.1), slice(1, 4)),
         luminance=compare(luminance_of(regions[:, 0]), sums.areas[0], term_mean, 0),
+        rest=sums.rest(compare, term_mean, typical[0]) if typical[0] < DOMINATED * term_mean else None,
         tiles={side: sums.places(compare, *tiles, typical) for side, tiles in sums.tiles.items()},
         windows=sums.places(compare, *sums.windows(), typical),
         borders=sums.places(compare, *sums.border_means(), 0.1 * typical),
@@ -459,6 +465,15 @@ class _Sums:
     ) -> Comparison:
         """Comparison (4, ...) of means (n, 4, ...), one quantity after the other: maps of large images are large."""
         return stack([compare(means[:, of], areas, typical[of], of) for of in range(len(QUANTITIES))])
+
+    def rest(self, compare: Callable[..., Comparison], term_mean: float, typical: float) -> Comparison:
+        """Comparison of (): `typical` times the mean share of the lit tiles that are darker than the image's mean."""
+        means, areas = self.tiles[TILE_SIDES[0]]
+        luminance = means[:, 0]
+        reference = luminance[self.sizes[0] :].mean(axis=0)
+        lit = (reference > 0) & (reference < term_mean)
+        share = luminance[:, lit] / np.maximum(reference[lit], typical)
+        return compare(typical * share.mean(axis=1), areas[lit].sum(), 0.0, 0)
 
     def mean_square(self, term_mean: float, reference_is_zero: bool) -> dict[int, tuple[Estimate, ...]]:
         """θ of each quantity over blocks, relative to the square of the image's scale, with its floor."""

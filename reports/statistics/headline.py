@@ -6,7 +6,7 @@ import numpy as np
 from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.replicates import CHANNELS
 from termwise.reports.statistics.sentence import tile_words
-from termwise.reports.statistics.verdict import PLACE_SIDE, TOLERATED_BIAS, Verdict
+from termwise.reports.statistics.verdict import OUTSIDE, PLACE_SIDE, TOLERATED_BIAS, Verdict
 from termwise.reports.statistics.welch import Comparison
 
 EVERYWHERE = 0.5
@@ -19,6 +19,9 @@ _SEEN = 2.0
 
 _CANCELLED = 1 / 3
 """Share of the differences of the tiles that are seen to be off below which their sum is no measure of them."""
+
+
+_BUT_FOR = "but for a few bright pixels, which are most of the mean: "
 
 
 def headline(verdict: Verdict, statistics: Statistics) -> str:
@@ -44,7 +47,10 @@ def headline(verdict: Verdict, statistics: Statistics) -> str:
 
 def _open(verdict: Verdict, statistics: Statistics) -> str:
     if verdict.samples_ratio is None:
-        between = f"between {_signed(verdict.bias_low)} and {_signed(verdict.bias_high)}"
+        low, high, what = verdict.bias_low, verdict.bias_high, ""
+        if (rest := _apart(verdict, statistics)) is not None:
+            (low, high), what = rest, _BUT_FOR
+        between = f"{what}between {_signed(low)} and {_signed(high)}"
         return f"not decided: {between}, likely off by more than ±{_share(verdict.margin + verdict.allowance)}"
     if verdict.samples_to_margin is not None:
         return f"too noisy to say: needs {verdict.samples_to_margin} samples a pixel"
@@ -60,6 +66,8 @@ def _proven(verdict: Verdict, statistics: Statistics) -> str:
         counts = [(statistics.non_finite, "NaN or infinite"), (statistics.negative, "negative")]
         return f"{' and '.join(f'{n} values {what}' for n, what in counts if n)}, the first at {verdict.place}"
     limit = 0.0 if statistics.reference_is_zero else TOLERATED_BIAS + verdict.allowance
+    if (rest := _apart(verdict, statistics)) is not None:
+        return f"{_BUT_FOR}{_off(sum(rest) / 2)}"
     proven = [each for each in verdict.regions if _outside(each.family_low, each.family_high, limit)]
     sure = [each for each in proven if each.region == "image"]
     place = tile_words(verdict.tile)
@@ -113,6 +121,14 @@ def _tiles(statistics: Statistics) -> Comparison:
 def _small(statistics: Statistics) -> float:
     """Relative bias of a tile that noise alone may show."""
     return 3 * float(np.median(_tiles(statistics).standard_error))
+
+
+def _apart(verdict: Verdict, statistics: Statistics) -> tuple[float, float] | None:
+    """90 % interval of what few bright pixels hide, where it is off by far more than the image's mean."""
+    if statistics.rest is None:
+        return None
+    low, high = (float(end) for end in statistics.rest.interval(2 * OUTSIDE / verdict.looks))
+    return (low, high) if min(abs(low), abs(high)) > 3 * abs(verdict.bias) and low * high > 0 else None
 
 
 def _cancels(statistics: Statistics) -> bool:

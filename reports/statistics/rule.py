@@ -11,7 +11,8 @@ by
 
 Shape and places are judged in luminance, red, green and blue: luminance has half of a test's level, the channels share
 the rest, and in 2c the places share that. A row is EQUIVALENT by rule 3 if the intervals of the image's channels lie
-inside the margin and the upper bounds of the shape error below 1 %.
+inside the margin and the upper bounds of the shape error below 1 %; and where a few bright pixels are most of the
+image's mean, if what is left of the picture lies inside the margin too.
 """
 
 from collections.abc import Callable, Sequence
@@ -395,6 +396,11 @@ def _open_questions(statistics: Statistics, margin: float, shape_margin: float, 
         if not (-margin < low[c] and high[c] < margin)
     ]
     bounds = _shape_bounds(statistics.mean_square[8], outside)
+    if statistics.rest is not None:
+        least, most = statistics.rest.interval(2 * outside)
+        if not (-margin < least and most < margin):
+            interval = f"[{percent(least)}, {percent(most)}] ({confidence(outside)}), not inside ±{margin:.2%}"
+            questions.append(f"the picture but for a few bright pixels, which are most of its mean: {interval}")
     if (bound := bounds.max()) >= shape_margin:
         text = f"shape error of up to {bound:.2%} rms over 8-px tiles{_of(int(bounds.argmax()))}"
         questions.append(f"{text} is not below {shape_margin:.0%}")
@@ -406,16 +412,25 @@ def _samples_ratio(statistics: Statistics, margin: float, shape_margin: float, o
 
     Standard errors of means fall as 1/sqrt(samples); that of a mean square around 0 falls as 1/samples.
     """
-    low, high = (end[0] for end in statistics.regions.interval(2 * outside))
+    low, high, error, dof = _means_of(statistics, outside)
     shapes = statistics.mean_square[8]
     beyond = any(theta.low(outside) > shape_margin**2 for theta in shapes)
     if np.any((low > margin) | (high < -margin)) or beyond:
         return None
     # An interval can leave the margin at either end, U only at one: hence half the misses for each end.
-    error, dof = statistics.regions.standard_error[0], statistics.regions.dof[0]
     mean = np.max((student.isf(outside, dof) + student.isf((1 - POWER) / 2, dof)) * error) / margin
     quantiles = student.isf(np.array([outside, 1 - POWER]), shapes[0].dof).sum()
     return float(max(mean**2, quantiles * max(theta.standard_error for theta in shapes) / shape_margin**2))
+
+
+def _means_of(statistics: Statistics, outside: float) -> tuple[np.ndarray, ...]:
+    """Low and high ends, standard errors and degrees of freedom of the means that rule 3 asks for."""
+    image, rest = statistics.regions, statistics.rest
+    ends = [*(end[0] for end in image.interval(2 * outside)), image.standard_error[0], image.dof[0]]
+    if rest is not None:
+        more = (*rest.interval(2 * outside), rest.standard_error, rest.dof)
+        ends = [np.append(each, one) for each, one in zip(ends, more, strict=True)]
+    return tuple(ends)
 
 
 def _scaled(needed: float | None, samples: int | None, seconds: float | None) -> tuple[int | None, float | None]:

@@ -25,6 +25,8 @@ WINDOW_SIDE = 8
 """The smallest places that are judged without being named: windows, one every half of this."""
 SHAPE_MARGIN, KERNEL_SHAPE_MARGIN = 0.01, 0.03
 """Largest root mean square over 8-px tiles that EQUIVALENT may leave open; of a kernel, which blurs by design."""
+DOMINATED = 0.1
+"""Share of the image's mean below which half of the lit tiles lie where a few bright pixels are most of that mean."""
 POWER = 0.8
 """A bias counts as detectable when it is found in this share of runs."""
 WORDS = {"right": ("BIASED", "EQUIVALENT"), "wrong": ("NOT AS PREDICTED", "AS PREDICTED")}

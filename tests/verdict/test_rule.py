@@ -15,6 +15,7 @@ from scipy import stats
 
 from termwise.reports.statistics import accumulation
 from termwise.reports.statistics.accumulation import measure
+from termwise.reports.statistics.headline import headline
 from termwise.reports.statistics.rule import decide, judge, margin_of
 from termwise.reports.statistics.sentence import percent
 from termwise.reports.statistics.verdict import LEVEL
@@ -178,6 +179,48 @@ def test_what_is_proven_and_tolerated_is_said(rng, replicates, picture):
     null = judge(*(replicates(rng, picture(32, 32), noise=0.003) for _ in range(2)))
     assert null.tolerated == ()
     assert "too small" not in null.sentence
+
+
+def test_a_mean_of_a_few_pixels_certifies_nothing_of_the_others(rng, replicates, picture):
+    """Four pixels are 99 % of the light, and the noise of all others, 3 % off, is too large to prove it anywhere."""
+    mean, bright = picture(64, 64), np.zeros((64, 64, 1), dtype=bool)
+    bright[[5, 20, 50, 60], [7, 40, 10, 60]] = True
+
+    def lit(gain: float, noise: float) -> np.ndarray:
+        return np.where(bright, 1e5, replicates(rng, gain * mean, noise=noise))
+
+    off = measure(lit(1.03, 0.7), lit(1.0, 0.7))
+    verdict = decide(off, tests=off.tests)
+    assert abs(verdict.bias) < 0.001
+    assert verdict.verdict == "UNDERPOWERED"
+    assert any(each.startswith("the picture but for a few bright pixels, which are most") for each in verdict.reasons)
+    assert headline(verdict, off).startswith(
+        "not decided: but for a few bright pixels, which are most of the mean: betw"
+    )
+    sure = measure(lit(1.1, 0.1), lit(1.0, 0.1))
+    proven = decide(sure, tests=sure.tests)
+    assert proven.verdict == "BIASED"
+    assert headline(proven, sure).endswith(", which are most of the mean: 10 % too bright")
+    # The mean of the others' own shares, by hand.
+    tiles = [
+        images.reshape(16, 8, 8, 8, 8, 3).mean(axis=(2, 4)) @ WEIGHTS for images in (lit(1.03, 0.7), lit(1.0, 0.7))
+    ]
+    assert off.rest is not None
+    truth = tiles[1].mean(axis=0)
+    dark = truth < off.term_mean
+    assert dark.sum() == 60
+    shares = [np.mean((each / np.maximum(truth, off.typical))[:, dark], axis=1) for each in tiles]
+    assert abs(off.rest.bias - (shares[0].mean() / shares[1].mean() - 1)) < 6 * off.rest.standard_error
+    assert verdict.samples_ratio is None  # more samples would prove it
+    noisy = measure(lit(1.0, 3.0), lit(1.0, 3.0))
+    verdict = decide(noisy, tests=noisy.tests)
+    assert verdict.verdict == "UNDERPOWERED"
+    assert verdict.samples_ratio is not None
+    assert verdict.samples_ratio > 1
+    right = measure(lit(1.0, 0.1), lit(1.0, 0.1))
+    assert decide(right, tests=right.tests).verdict == "EQUIVALENT"
+    plain = measure(replicates(rng, mean), replicates(rng, mean))
+    assert plain.rest is None
 
 
 def test_words_are_made_for_what_is_named_alone(rng, replicates, picture, monkeypatch):
