@@ -138,7 +138,8 @@ def convergence(rows: list[dict[str, Any]], what: str) -> Figure:
         panel.set(xscale="log", yscale="log", xlabel=label)
     panels[0].set_ylabel("RMSE of one replicate (radiance)")
     for axis, most in ((panels[0].yaxis, _TICKS_UP), (panels[1].xaxis, _TICKS_ALONG)):
-        found = ticks(*sorted(axis.get_view_interval()), most)
+        low, high = sorted(axis.get_view_interval())
+        found = ticks(low, high, most)
         axis.set_major_locator(FixedLocator(found))
         axis.set_major_formatter(FixedFormatter(_written(found)))
         axis.set_minor_formatter(NullFormatter())

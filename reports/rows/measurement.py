@@ -397,7 +397,7 @@ def decided(row: Measurement, tests: int, audited: list[dict[str, Any]], looks: 
         return {**fields, **_NOT_JUDGED}
     judged = row.judged and not failed
     found = rule.decide(row.statistics, tests=max(tests, 1), looks=looks, judged=judged, **row.decide)
-    outcome = found.row() | {"headline": headline(found, row.statistics) if judged else None}
+    outcome: dict[str, Any] = found.row() | {"headline": headline(found, row.statistics) if judged else None}
     if row.judged and failed:
         why = "its reference failed an audit"
         sentence = f"{verdict.NO_VERDICT}: {why}: {'; '.join(failed)}."

@@ -186,7 +186,9 @@ def test_the_command_names_what_differs(tmp_path):
 
 def test_nothing_is_said_of_a_bias_before_the_first_look():
     """Fewer than four replicates have no interval: a dash, not `nan`."""
-    row = TruthRow("direct", "none before 4 replicates", *[math.nan] * 3, 0.12, "", np.zeros((1, 1, 3), np.uint8), 0.1)
+    row = TruthRow(
+        "direct", "none before 4 replicates", math.nan, math.nan, math.nan, 0.12, "", np.zeros((1, 1, 3), np.uint8), 0.1
+    )
     early = _verdict_table(TruthView(CUBES, 1, 16, 4, (row,)))
     assert "nan" not in early
     assert "<td>–</td><td>0.12</td>" in early
