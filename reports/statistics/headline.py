@@ -34,7 +34,7 @@ def headline(verdict: Verdict, statistics: Statistics) -> str:
     """
     match verdict.verdict:
         case "ABSENT":
-            return "black on both sides: nothing to compare"
+            return f"black on both sides: {verdict.reasons[0] if verdict.reasons else 'nothing to compare'}"
         case "EQUIVALENT" | "AS PREDICTED":
             half = max(verdict.bias_high - verdict.bias, verdict.bias - verdict.bias_low)
             within = verdict.margin + verdict.allowance
