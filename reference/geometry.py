@@ -69,13 +69,18 @@ def first_hits(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> Geo
 _Hits = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
+def _meshes(scene: Any) -> list[Any]:
+    """Its shapes but for spheres, which are no objects of the scene model: what meets one meets nothing here."""
+    return [shape for shape in scene.shapes() if shape.is_mesh()]
+
+
 def _all_at_once(scene: Any, points: np.ndarray, vectors: np.ndarray) -> _Hits:
     import mitsuba as mi
 
     si = scene.ray_intersect(mi.Ray3f(mi.Point3f(points.T), mi.Vector3f(vectors.T)))
     hit = np.array(si.is_valid())
     thing = np.full(len(hit), -1)
-    for index, shape in enumerate(scene.shapes()):
+    for index, shape in enumerate(_meshes(scene)):
         thing[np.array(si.shape == mi.ShapePtr(shape)) & hit] = index
     return np.array(si.t), np.array(si.n).T, thing, np.array(si.prim_index).astype(np.int64)
 
@@ -83,7 +88,7 @@ def _all_at_once(scene: Any, points: np.ndarray, vectors: np.ndarray) -> _Hits:
 def _one_by_one(scene: Any, points: np.ndarray, vectors: np.ndarray) -> _Hits:
     import mitsuba as mi
 
-    shapes = scene.shapes()
+    shapes = _meshes(scene)
     hits = [
         scene.ray_intersect(mi.Ray3f(mi.Point3f(point), mi.Vector3f(vector)))
         for point, vector in zip(points.tolist(), vectors.tolist(), strict=True)
@@ -91,6 +96,6 @@ def _one_by_one(scene: Any, points: np.ndarray, vectors: np.ndarray) -> _Hits:
     return (
         np.array([si.t for si in hits]),
         np.array([list(si.n) for si in hits]),
-        np.array([shapes.index(si.shape) if si.is_valid() else -1 for si in hits]),
+        np.array([shapes.index(si.shape) if si.is_valid() and si.shape in shapes else -1 for si in hits]),
         np.array([si.prim_index for si in hits], np.int64),
     )

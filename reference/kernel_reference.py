@@ -223,13 +223,14 @@ def surfaces_of(scene: Any, parts: list[list[list[int]]]) -> Surfaces:
     frontal = dr.zeros(mi.SurfaceInteraction3f)
     frontal.wi = mi.Vector3f(0.0, 0.0, 1.0)
     corners, albedo = [], []
-    for shape in scene.shapes():
+    meshes = [shape for shape in scene.shapes() if shape.is_mesh()]
+    for shape in meshes:
         vertices = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
         corners.append(vertices[np.array(shape.faces_buffer(), np.int64).reshape(-1, 3)])
         albedo.append(np.array(shape.bsdf().eval_diffuse_reflectance(frontal), np.float64).reshape(3))
     counts = [len(each) for each in corners]
     owner = np.repeat(np.arange(len(counts)), counts)
-    smooth = np.array([shape.has_vertex_normals() for shape in scene.shapes()])[owner]
+    smooth = np.array([shape.has_vertex_normals() for shape in meshes])[owner]
     thing, _, first = density.origins(parts)
     faces = density.faces(np.concatenate(corners), thing, smooth)
     of_faces = np.array([*albedo, np.zeros(3)])[[*owner, -1]]
@@ -367,10 +368,9 @@ def _uniform_cone(axis: np.ndarray, edge: float, rng: np.random.Generator, count
 
 
 def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray, dark: Any = None) -> Points:
-    """Where rays (N, 3) meet a surface, seen from their origin; face -1 on a miss, and where it is `dark`."""
-    shapes = [
-        (shape_pointer(shape), int(first)) for shape, first in zip(surfaces.scene.shapes(), surfaces.first, strict=True)
-    ]
+    """Where rays (N, 3) meet a surface, seen from their origin; face -1 on a miss, a sphere, and where it is `dark`."""
+    meshes = [shape for shape in surfaces.scene.shapes() if shape.is_mesh()]
+    shapes = [(shape_pointer(shape), int(first)) for shape, first in zip(meshes, surfaces.first, strict=True)]
 
     def intersect(origin: Any, direction: Any) -> tuple[Any, ...]:
         si = surfaces.scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(direction)))

@@ -86,7 +86,8 @@ def sights(
     position, pointer, face, hidden, *left = rowwise(see, origin, direction, target, normal, leaving)
     shape = np.full(len(pointer), -1)
     for number, each in enumerate(shapes):
-        shape[(pointer == np.array(named(each))) & (face >= 0)] = number
+        if each.is_mesh():  # a sphere is no object of the scene model
+            shape[(pointer == np.array(named(each))) & (face >= 0)] = number
     thing, face = original(loaded, shape, face.astype(np.int64))
     return Sights(position, thing, face, hidden.astype(bool), *left)
 

@@ -24,6 +24,7 @@ from termwise.scenes.model import (
     Object,
     PointLight,
     Scene,
+    SphereLight,
     SpotLight,
     SunLight,
 )
@@ -95,10 +96,14 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "has_lights": scene.has_lights,
         "reflected": {role: _reflected(scene, role) for role in get_args(Role)},
         "light_centres": [
-            [canonical.points(centre).tolist(), *_place(parts, thing)] for centre, thing in scene.light_centres
+            [canonical.points(centre).tolist(), *_place(parts, thing, len(scene.objects))]
+            for centre, thing in scene.light_centres
         ],
         "suns": _suns(scene),
-        "emission": [list(thing.emission) if scene.draw_lights else [0.0] * 3 for thing in shapes],
+        "emission": [
+            list(radiance) if scene.draw_lights else [0.0] * 3
+            for radiance in (*(thing.emission for thing in shapes), *(sphere.radiance for sphere in scene.spheres))
+        ],
         "parts": parts,
         "scenes": {role: _scene(scene, shapes, role, canonical) for role in get_args(Role)},
     }
@@ -137,8 +142,10 @@ def _as_one(things: list[Object]) -> Object:
     return attrs.evolve(things[0], mesh=Mesh(vertices, faces, np.concatenate(normals) if smooth else None))
 
 
-def _place(parts: list[list[list[int]]], thing: int) -> tuple[int, int, int]:
-    """Shape of an object, its first face there, and the one behind its last; -1 for a point light's."""
+def _place(parts: list[list[list[int]]], thing: int, objects: int) -> tuple[int, int, int]:
+    """Shape of an object, its first face there, and the one behind its last; -1 of none. Spheres are the last ones."""
+    if thing >= objects:
+        return len(parts) + thing - objects, 0, 1
     for shape, held in enumerate(parts):
         first = 0
         for number, count in held:
@@ -166,13 +173,18 @@ def _check_sizes(scene: Scene) -> None:
     """
     low, high = scene.bounds()
     extent = float(np.max(high - low))
+    sizes = {}
     for thing in scene.objects:
         corners = thing.mesh.vertices[thing.mesh.faces].reshape(-1, 3)
-        size = float(np.max(corners.max(axis=0) - corners.min(axis=0)))
+        sizes[f"object {thing.name!r}"] = float(np.max(corners.max(axis=0) - corners.min(axis=0)))
+    for number, light in enumerate(scene.lights):
+        if isinstance(light, SphereLight):
+            sizes[f"the sphere lights[{number}]"] = 2.0 * light.radius
+    for name, size in sizes.items():
         if size < SMALLEST * extent:
             raise ValueError(
-                f"{scene.name}: object {thing.name!r} is {size:g} long in a scene of {extent:g}: allowed is at least "
-                f"{SMALLEST:g} of it, for Mitsuba computes in single precision; bring far or large objects nearer"
+                f"{scene.name}: {name} is {size:g} long in a scene of {extent:g}: allowed is at least {SMALLEST:g} of "
+                "it, for Mitsuba computes in single precision; bring far or large objects nearer"
             )
 
 
@@ -209,9 +221,12 @@ def _scene(scene: Scene, shapes: tuple[Object, ...], role: Role, canonical: Cano
     described: dict[str, Any] = {"type": "scene", "embree_use_robust_intersections": True}
     for number, thing in enumerate(shapes):
         described[f"object{number}"] = _object(scene, thing, number, role, lit)
+    for number, sphere in enumerate(scene.spheres):
+        described[f"sphere{number}"] = _sphere(sphere, canonical, lit)
     if lit:
         for number, light in enumerate(scene.lights):
-            described[f"light{number}"] = _LIGHTS[type(light)](light, scene, canonical)
+            if not isinstance(light, SphereLight):
+                described[f"light{number}"] = _LIGHTS[type(light)](light, scene, canonical)
     if role == "ambient" and math.isinf(scene.occlusion_range):
         described["sky"] = {"type": "constant", "radiance": _rgb(scene.ambient.color)}
     if role in ("physical-sky", "physical") and not scene.sky.is_black:
@@ -288,7 +303,18 @@ def _distant(light: DirectionalLight | SunLight, scene: Scene, canonical: Canoni
     }
 
 
-# The kinds of light that are no object, by the words of `renderer.lights`: a function each.
+def _sphere(sphere: SphereLight, canonical: Canonical, lit: bool) -> dict[str, Any]:
+    """A sphere, black in every role, that shines where there are lights."""
+    described = {
+        "type": "sphere",
+        "center": canonical.points(sphere.center).tolist(),
+        "radius": sphere.radius * canonical.scale,
+        "bsdf": BLACK_BSDF,
+    }
+    return described | ({"emitter": {"type": "area", "radiance": _rgb(sphere.radiance)}} if lit else {})
+
+
+# The kinds of light that have no surface, by the words of `renderer.lights`: a function each.
 _LIGHTS: dict[type[Light], Callable[[Any, Scene, Canonical], dict[str, Any]]] = {
     PointLight: _point,
     SpotLight: _spot,

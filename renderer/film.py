@@ -239,9 +239,11 @@ def trace_centres(scene: SceneArrays, tile: Tile, images: GeometryImages, scratc
         for x in range(tile.x0, tile.x1):
             ray = camera_ray(centre, x, y, Sampler(np.uint64(0), np.uint32(0)))
             surface = trace(scene, ray, -1, scratch)
-            images.object[y, x] = surface.object
-            images.face[y, x] = surface.face
-            if surface.face >= 0:
+            # A sphere is no object of the scene's.
+            met = 0 <= surface.face < len(scene.geometry.corners)
+            images.object[y, x] = surface.object if met else -1
+            images.face[y, x] = surface.face if met else -1
+            if met:
                 images.depth[y, x] = length(sub(surface.point, ray.origin))
                 normal = vec3(scene.geometry.normals, surface.face)
                 images.normal[y, x, 0] = normal.x

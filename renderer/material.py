@@ -14,7 +14,7 @@ import numpy as np
 from termwise.renderer.jit import device
 from termwise.renderer.unoccluded import open_sides
 from termwise.renderer.vector import Vec3, vec3
-from termwise.scenes.model import Scene
+from termwise.scenes.model import BLACK_SURFACE, Scene
 
 if TYPE_CHECKING:  # they hold what is defined here
     from termwise.renderer.arrays import SceneArrays
@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # they hold what is defined here
 
 
 class Materials(NamedTuple):
-    """What surfaces of each object do to light; emitters are black.
+    """What surfaces of each object do to light, the spheres' behind the others; emitters are black.
 
     Attributes
     ----------
@@ -46,7 +46,8 @@ class Materials(NamedTuple):
 
 def from_scene(scene: Scene, without: Collection[str]) -> Materials:
     """The materials of a scene's objects; `without`: see `arrays.from_scene`."""
-    surfaces = [thing.surface for thing in scene.objects]
+    surfaces = [*(thing.surface for thing in scene.objects), *(BLACK_SURFACE for _ in scene.spheres)]
+    emission = [*(thing.emission for thing in scene.objects), *(sphere.radiance for sphere in scene.spheres)]
     lit = scene.toggles.lighting
     return Materials(
         np.array([surface.color for surface in surfaces]).reshape(-1, 3),
@@ -54,8 +55,16 @@ def from_scene(scene: Scene, without: Collection[str]) -> Materials:
         np.array([scene.specular_weight(surface) for surface in surfaces]).reshape(-1),
         np.array([surface.roughness for surface in surfaces]).reshape(-1),
         np.array([surface.f0 for surface in surfaces]).reshape(-1, 3),
-        np.array([thing.emission if lit else (0.0, 0.0, 0.0) for thing in scene.objects]).reshape(-1, 3),
-        np.zeros((len(surfaces), 2), np.bool_) if "open" in without else open_sides(scene),
+        np.array([each if lit else (0.0, 0.0, 0.0) for each in emission]).reshape(-1, 3),
+        _open(scene, without),
+    )
+
+
+def _open(scene: Scene, without: Collection[str]) -> np.ndarray:
+    """What `Materials.open` is; a sphere is black, and nothing asks it."""
+    spheres = np.zeros((len(scene.spheres), 2), np.bool_)
+    return np.concatenate(
+        [np.zeros((len(scene.objects), 2), np.bool_) if "open" in without else open_sides(scene), spheres]
     )
 
 

@@ -21,8 +21,12 @@ from termwise.renderer.scratch import SEEN_BYTES
 from termwise.renderer.terms import VARIANTS
 from termwise.renderer.terms.variant import CHAINS, Chain, Stored, Variant
 from termwise.renderer.unoccluded import open_sides
-from termwise.scenes.model import Scene
+from termwise.scenes.model import BLACK_SURFACE, Scene
 from termwise.scenes.terms import TABLE, TERMS, Term, first
+
+# The box around a sphere: corners, and triangles that have all of its edges.
+_CUBE = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+_CUBE_EDGES = np.array([[i, i ^ 1 << axis, i ^ 1 << (axis + 1) % 3] for i in range(8) for axis in range(3)])
 
 Kind = Literal["runs", "skip", "variance reduction", "reuse"]
 
@@ -119,15 +123,16 @@ def may_see(scene: Scene, term: Term = "background") -> np.ndarray:
     width, height = scene.resolution
     # The paper's intersection has absolute tolerances: it may find what is not there.
     seen = np.full((height, width), scene.intersection != "watertight")
-    for thing, (rows, columns) in zip(scene.objects, _windows(scene), strict=True):
-        if TABLE[term].has(scene, thing.surface):
+    surfaces = [*(thing.surface for thing in scene.objects), *(BLACK_SURFACE for _ in scene.spheres)]
+    for surface, (rows, columns) in zip(surfaces, _windows(scene), strict=True):
+        if TABLE[term].has(scene, surface):
             seen[rows, columns] = True
     return seen
 
 
 @functools.lru_cache(maxsize=4)
 def _windows(scene: Scene) -> list[tuple[slice, slice]]:
-    """Rows and columns of each object's box; kept, because each term asks and a box looks at all vertices."""
+    """Rows and columns of each object's box, and each sphere's; kept, for each term asks and looks at all vertices."""
     width, height = scene.resolution
     right, up, forward = scene.camera.frame()
     pixels = width / (2.0 * math.tan(math.radians(scene.camera.fov) / 2.0))
@@ -138,10 +143,10 @@ def _windows(scene: Scene) -> list[tuple[slice, slice]]:
         return slice(max(0, math.floor(low)), max(0, math.floor(high) + 1))
 
     found = []
-    for thing in scene.objects:
-        x, y, depth = (np.stack([right, -up, forward]) @ (thing.mesh.vertices - scene.camera.position).T)[
-            :, thing.mesh.faces.T
-        ]
+    bodies = [(thing.mesh.vertices, thing.mesh.faces) for thing in scene.objects]
+    bodies += [(np.array(sphere.center) + sphere.radius * _CUBE, _CUBE_EDGES) for sphere in scene.spheres]
+    for vertices, faces in bodies:
+        x, y, depth = (np.stack([right, -up, forward]) @ (vertices - scene.camera.position).T)[:, faces.T]
         near = 1e-9 * np.abs(depth).max()
         # Where an edge goes through the plane of the camera, the point just before it takes its place.
         begin, end = [0, 1, 2], [1, 2, 0]

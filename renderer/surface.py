@@ -7,18 +7,20 @@ travelled; rays that leave it skip this face (or its object, see `Scene.ignore`)
 import math
 from typing import NamedTuple
 
+from termwise.renderer import spheres
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry import paper, rays
 from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
 from termwise.renderer.geometry.packets import Rays8, hit_of, put_hit
 from termwise.renderer.jit import device
 from termwise.renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
+from termwise.renderer.spheres import Spheres
 from termwise.renderer.triangles import Geometry, point_on_face
 from termwise.renderer.vector import Vec3, column, dot, entry, negate, normalize, put_column, sub, vec3
 
 
 class Surface(NamedTuple):
-    """A point on a face (-1: the ray missed everything).
+    """A point on a face, or on a sphere (see `renderer.spheres`), or none (face -1: the ray missed everything).
 
     `normal` is the shading normal, turned towards the ray's origin; `side` is +1 where that origin is on the
     side that the face's own normal points to, else -1. With `Scene.normals` of the "face" the surface is taken as seen
@@ -67,8 +69,10 @@ def closest(scene: SceneArrays, ray: Ray, far: float, face: int, scratch: Scratc
     scratch.counts[RAYS] += 1
     ignore = _leaving(scene, face)
     if scene.watertight:
-        return rays.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, scratch.stack)
-    return paper.closest_hit(geometry.corners, ray, far, ignore)
+        hit = rays.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, scratch.stack)
+    else:
+        hit = paper.closest_hit(geometry.corners, ray, far, ignore)
+    return spheres.nearer(geometry.spheres, ray.origin, ray.direction, far, ignore, hit)
 
 
 @device
@@ -79,16 +83,37 @@ def trace(scene: SceneArrays, ray: Ray, leaving: int, scratch: Scratch) -> Surfa
 
 @device
 def _surface(scene: SceneArrays, hit: Hit, origin: Vec3, direction: Vec3) -> Surface:
-    geometry = scene.geometry
     wo = negate(direction)
     if hit.face < 0:
         return Surface(origin, wo, wo, -1, -1, 1.0, 0.0, 0.0)
+    return _met(scene, scene.geometry.spheres, hit, wo)
+
+
+@device
+def _met(scene: SceneArrays, balls: Spheres | None, hit: Hit, wo: Vec3) -> Surface:
+    geometry = scene.geometry
+    thing = entry(geometry.object, hit.face)
+    if balls is not None and hit.face >= balls.first:
+        normal = spheres.normal_at(hit.b1, hit.b2)
+        point = spheres.point_at(balls, hit.face - balls.first, hit.b1, hit.b2)
+        outside = dot(normal, wo) >= 0.0
+        if scene.face_forward and not outside:
+            normal = negate(normal)
+        return Surface(point, normal, wo, hit.face, thing, 1.0 if outside else -1.0, hit.b1, hit.b2)
     normal = _shading_normal(geometry, hit.face, hit.b1, hit.b2)
     if scene.face_forward and dot(normal, wo) < 0.0:
         normal = negate(normal)
     side = 1.0 if dot(vec3(geometry.normals, hit.face), wo) >= 0.0 else -1.0
     point = point_on_face(geometry, hit.face, hit.b1, hit.b2)
-    return Surface(point, normal, wo, hit.face, entry(geometry.object, hit.face), side, hit.b1, hit.b2)
+    return Surface(point, normal, wo, hit.face, thing, side, hit.b1, hit.b2)
+
+
+@device
+def _place(geometry: Geometry, balls: Spheres | None, hit: Hit) -> Vec3:
+    """The point that was met."""
+    if balls is not None and hit.face >= balls.first:
+        return spheres.point_at(balls, hit.face - balls.first, hit.b1, hit.b2)
+    return point_on_face(geometry, hit.face, hit.b1, hit.b2)
 
 
 @device
@@ -107,7 +132,7 @@ def shadowed(scene: SceneArrays, surface: Surface, scratch: Scratch) -> bool:
             if geometry.object[hit.face] != rule.object[light]:
                 break
             # Through a face of the light itself.
-            origin = point_on_face(geometry, hit.face, hit.b1, hit.b2)
+            origin = _place(geometry, geometry.spheres, hit)
             leaving = hit.face
     return len(rule.object) > 0
 
@@ -120,8 +145,10 @@ def occluded(scene: SceneArrays, surface: Surface, direction: Vec3, far: float, 
     scratch.counts[OCCLUSION_RAYS] += 1
     ignore = _leaving(scene, surface.face)
     if scene.watertight:
-        return rays.any_hit(geometry.corners, geometry.tree, ray, far, ignore, target, scratch.stack)
-    return paper.any_hit(geometry.corners, ray, far, ignore, target)
+        found = rays.any_hit(geometry.corners, geometry.tree, ray, far, ignore, target, scratch.stack)
+    else:
+        found = paper.any_hit(geometry.corners, ray, far, ignore, target)
+    return found or spheres.between(geometry.spheres, ray.origin, ray.direction, far, ignore, target)
 
 
 @device
@@ -151,11 +178,22 @@ def trace_group(scene: SceneArrays, group: Rays8, count: int, scratch: Scratch) 
     geometry = scene.geometry
     if scene.watertight:
         rays.closest_hits_of_group(geometry.corners, geometry.tree, group, count, math.inf, True, scratch.stack)
-        return
-    for i in range(count):
-        ray = make_ray(column(group.origins, i), column(group.directions, i))
-        ignore = FaceRange(group.first[i], group.end[i])
-        put_hit(group, i, paper.closest_hit(geometry.corners, ray, math.inf, ignore))
+    else:
+        for i in range(count):
+            ray = make_ray(column(group.origins, i), column(group.directions, i))
+            ignore = FaceRange(group.first[i], group.end[i])
+            put_hit(group, i, paper.closest_hit(geometry.corners, ray, math.inf, ignore))
+    _trace_spheres(geometry.spheres, group, count)
+
+
+@device
+def _trace_spheres(balls: Spheres | None, group: Rays8, count: int) -> None:
+    """Put the spheres that are nearer than the faces which a group has met in their place."""
+    if balls is not None:
+        for i in range(count):
+            origin, direction = column(group.origins, i), column(group.directions, i)
+            ignore = FaceRange(group.first[i], group.end[i])
+            put_hit(group, i, spheres.nearer(balls, origin, direction, math.inf, ignore, hit_of(group, i)))
 
 
 @device
@@ -171,8 +209,20 @@ def occlude_group(scene: SceneArrays, group: Rays8, count: int, far: float, cohe
     geometry = scene.geometry
     if scene.watertight:
         rays.any_hits_of_group(geometry.corners, geometry.tree, group, count, far, coherent, scratch.stack)
-        return
-    for i in range(count):
-        ray = make_ray(column(group.origins, i), column(group.directions, i))
-        ignore = FaceRange(group.first[i], group.end[i])
-        group.found[i] = paper.any_hit(geometry.corners, ray, far, ignore, group.target[i])
+    else:
+        for i in range(count):
+            ray = make_ray(column(group.origins, i), column(group.directions, i))
+            ignore = FaceRange(group.first[i], group.end[i])
+            group.found[i] = paper.any_hit(geometry.corners, ray, far, ignore, group.target[i])
+    _occlude_by_spheres(geometry.spheres, group, count, far)
+
+
+@device
+def _occlude_by_spheres(balls: Spheres | None, group: Rays8, count: int, far: float) -> None:
+    """Find the rays of a group hidden that a sphere hides."""
+    if balls is not None:
+        for i in range(count):
+            if not group.found[i]:
+                origin, direction = column(group.origins, i), column(group.directions, i)
+                ignore = FaceRange(group.first[i], group.end[i])
+                group.found[i] = spheres.between(balls, origin, direction, far, ignore, group.target[i])

@@ -7,6 +7,8 @@ import numpy as np
 from termwise.renderer.geometry import bvh
 from termwise.renderer.geometry.bvh import Tree
 from termwise.renderer.jit import device
+from termwise.renderer.spheres import Spheres
+from termwise.renderer.spheres import from_scene as spheres_of
 from termwise.renderer.vector import Vec3
 from termwise.scenes.model import Scene
 
@@ -23,6 +25,8 @@ class Geometry(NamedTuple):
     object : (F,) index of the object.
     first : (O + 1,) first face of each object, and the number of faces.
     tree : the hierarchy over the faces.
+    spheres : what rays meet beside the faces, or None; each has an entry more in `normals` (0), `smooth` (False),
+        `object` and `first`.
     """
 
     corners: np.ndarray
@@ -32,10 +36,26 @@ class Geometry(NamedTuple):
     object: np.ndarray
     first: np.ndarray
     tree: Tree
+    spheres: Spheres | None
 
 
 def from_scene(scene: Scene) -> Geometry:
-    """The triangles of a scene and their tree."""
+    """The triangles of a scene and their tree, and its spheres."""
+    geometry = _triangles(scene)
+    spheres = spheres_of(scene, len(geometry.corners))
+    if spheres is None:
+        return geometry
+    count = len(spheres.radius)
+    return geometry._replace(
+        normals=np.concatenate([geometry.normals, np.zeros((count, 3))]),
+        smooth=np.concatenate([geometry.smooth, np.zeros(count, np.bool_)]),
+        object=np.concatenate([geometry.object, np.arange(count, dtype=np.int32) + np.int32(len(scene.objects))]),
+        first=np.concatenate([geometry.first, geometry.first[-1] + np.arange(1, count + 1, dtype=np.int32)]),
+        spheres=spheres,
+    )
+
+
+def _triangles(scene: Scene) -> Geometry:
     corners, shading, smooth, owner = [], [], [], []
     for index, thing in enumerate(scene.objects):
         mesh = thing.mesh
@@ -48,7 +68,7 @@ def from_scene(scene: Scene) -> Geometry:
         empty = np.zeros((0, 3, 3))
         none = np.zeros(0, np.int32)
         first = np.zeros(1, np.int32)
-        return Geometry(empty, np.zeros((0, 3)), empty, none.astype(np.bool_), none, first, bvh.build(empty))
+        return Geometry(empty, np.zeros((0, 3)), empty, none.astype(np.bool_), none, first, bvh.build(empty), None)
     faces = np.ascontiguousarray(np.concatenate(corners))
     area_normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     length = np.linalg.norm(area_normals, axis=1, keepdims=True)
@@ -64,6 +84,7 @@ def from_scene(scene: Scene) -> Geometry:
         object=np.concatenate(owner).astype(np.int32),
         first=np.cumsum([0, *map(len, owner)]).astype(np.int32),
         tree=bvh.build(faces),
+        spheres=None,
     )
 
 

@@ -338,10 +338,27 @@ class SunLight:
         return None
 
 
-Light = PointLight | SpotLight | DirectionalLight | SunLight
+@attrs.frozen
+class SphereLight:
+    """A sphere whose outside has the same `radiance` everywhere; like that of every emitter its surface is black."""
+
+    kind: ClassVar[str] = "sphere"
+    sends: ClassVar[str] = "radiance"
+
+    center: Vector = attrs.field(converter=_triple, validator=finite)
+    radius: float = attrs.field(converter=_number, validator=positive)
+    radiance: Color = attrs.field(converter=_triple, validator=non_negative)
+
+    @property
+    def centre(self) -> Vector | None:
+        """Where it is."""
+        return self.center
+
+
+Light = PointLight | SpotLight | DirectionalLight | SunLight | SphereLight
 """What stands in `Scene.lights`. Each kind has its `kind`, the name of the field that it `sends`, and its `centre`."""
 
-LIGHTS: dict[str, type] = {each.kind: each for each in (PointLight, SpotLight, DirectionalLight, SunLight)}
+LIGHTS: dict[str, type] = {each.kind: each for each in (PointLight, SpotLight, DirectionalLight, SunLight, SphereLight)}
 
 
 def shines(light: Light) -> bool:
@@ -500,9 +517,9 @@ class Scene:
     Choices that the paper's code makes or leaves open; the first of each is the default:
 
     - `shadows` is "physical", where visibility alone decides, or "paper", its early return on top: a point that sees
-      the centre of no light (a point light's or spot's position, an emitting object's centroid by area, its own faces
-      apart) has `color` times the ambient light and nothing else, and a specular chain ends there. Without lights there
-      is none, and lights that have no centre are refused.
+      the centre of no light (a point light's or spot's position, a sphere's center, an emitting object's centroid by
+      area, its own faces apart) has `color` times the ambient light and nothing else, and a specular chain ends there.
+      Without lights there is none, and lights that have no centre are refused.
     - `irradiance`: direct light is read from E as "E / pi", or as "E", pi times too bright.
     - `ignore`: a ray that leaves a surface passes the "face" that it leaves, or all of its "object", which costs
       concave objects their own shadows and occlusion.
@@ -553,11 +570,19 @@ class Scene:
         if self.shadows == "paper":
             for number, light in enumerate(self.lights):
                 if light.centre is None:
-                    having = ", ".join(kind for kind, each in LIGHTS.items() if "position" in attrs.fields_dict(each))
+                    having = ", ".join(
+                        kind for kind, each in LIGHTS.items() if "direction" not in attrs.fields_dict(each)
+                    )
                     raise ValueError(
                         f"lights[{number}]: kind = {light.kind!r}: allowed with shadows = 'paper', which asks for the "
                         f"centre of a light, are {having}"
                     )
+        for number, light in enumerate(self.lights):
+            if isinstance(light, SphereLight) and math.dist(light.center, self.camera.position) <= light.radius:
+                raise ValueError(
+                    f"lights[{number}]: center = {light.center!r}, radius = {light.radius!r}: allowed is a sphere that "
+                    f"the camera at {self.camera.position!r} is outside of"
+                )
         coincident.check_camera(self.objects, self.camera.position)
         # Frozen but for this: what lies over an equal face is no part of what is rendered.
         object.__setattr__(self, "objects", coincident.counted_once(self.objects, self.camera.position))
@@ -593,6 +618,11 @@ class Scene:
         return self.toggles.lighting and (any(map(shines, self.lights)) or any(thing.emits for thing in self.objects))
 
     @property
+    def spheres(self) -> tuple[SphereLight, ...]:
+        """The lights that have a surface of their own, a black one, whether they shine or not."""
+        return tuple(each for each in self.lights if isinstance(each, SphereLight))
+
+    @property
     def drawn_suns(self) -> tuple[SunLight, ...]:
         """The suns that the background term shows."""
         drawn = self.draw_lights and self.toggles.lighting
@@ -600,10 +630,17 @@ class Scene:
 
     @property
     def light_centres(self) -> list[tuple[Vector, int]]:
-        """Centre of each light that is on and has one, and the index of its object (-1: none)."""
+        """Centre of each light that is on and has one, and the index of its object (-1: none).
+
+        The spheres are counted on behind the objects.
+        """
         if not self.toggles.lighting:
             return []
-        points = [(centre, -1) for light in self.lights if shines(light) and (centre := light.centre) is not None]
+        points, sphere = [], len(self.objects)
+        for light in self.lights:
+            if shines(light) and light.centre is not None:
+                points.append((light.centre, sphere if isinstance(light, SphereLight) else -1))
+            sphere += isinstance(light, SphereLight)
         return points + [(thing.mesh.centroid(), i) for i, thing in enumerate(self.objects) if thing.emits]
 
     @property
@@ -617,11 +654,13 @@ class Scene:
         return self.ambient.range if self.toggles.ambient_occlusion else 0.0
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Corners of the box around all vertices, (3,) float64 each; zeros for an empty scene."""
-        if not self.objects:
+        """Corners of the box around all surfaces, (3,) float64 each; zeros for an empty scene."""
+        if not (self.objects or self.spheres):
             return np.zeros(3), np.zeros(3)
         lows = [thing.mesh.vertices.min(axis=0) for thing in self.objects]
         highs = [thing.mesh.vertices.max(axis=0) for thing in self.objects]
+        lows += [np.subtract(sphere.center, sphere.radius) for sphere in self.spheres]
+        highs += [np.add(sphere.center, sphere.radius) for sphere in self.spheres]
         return np.min(lows, axis=0), np.max(highs, axis=0)
 
     def digest(self, *, without: tuple[str, ...] = ("name", "exposure")) -> str:

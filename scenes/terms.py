@@ -112,6 +112,7 @@ _MATERIAL = (
     "objects.material.f0",
     "toggles.reflections",
 )
+# Center and radius of a sphere are in every key, as meshes are: its black surface hides things from all terms.
 _LIGHTS = (
     "lights.position",
     "lights.intensity",
@@ -121,6 +122,7 @@ _LIGHTS = (
     "lights.direction",
     "lights.irradiance",
     "lights.angle",
+    "lights.radiance",
     "objects.emission",
     "toggles.lighting",
 )

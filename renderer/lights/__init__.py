@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from termwise.renderer.jit import device
-from termwise.renderer.lights import directional, face, point, spot, sun
+from termwise.renderer.lights import directional, face, point, sphere, spot, sun
 from termwise.renderer.lights.directional import Directionals
 from termwise.renderer.lights.face import Faces
 from termwise.renderer.lights.point import Points
+from termwise.renderer.lights.sphere import SphereLights
 from termwise.renderer.lights.spot import Spots
 from termwise.renderer.lights.sun import Suns
 from termwise.renderer.vector import Vec3, entry
@@ -36,8 +37,8 @@ _BELOW_ONE = 1.0 - 2.0**-53
 # one light differ, `from_scene`, its arrays, which have a row and a `strength` for each emitter, or None, and `power`;
 # for a record of a sample `density`. For a kernel it has `bound`, `sample` and `emit`, each given the row: the three
 # chains of `if` below, for Numba has no table of functions. Emitters are numbered kind by kind in this order.
-KINDS = (point, face, spot, directional, sun)
-POINT, FACE, SPOT, DIRECTIONAL, SUN = range(len(KINDS))
+KINDS = (point, face, spot, directional, sun, sphere)
+POINT, FACE, SPOT, DIRECTIONAL, SUN, SPHERE = range(len(KINDS))
 
 
 class Emitters(NamedTuple):
@@ -50,8 +51,8 @@ class Emitters(NamedTuple):
     aimed : (N + 1,), the same sum, the power being that which is sent towards the scene.
     share : that power over all power.
     drawn : whether samples of the light differ: False where there is one emitter, of a kind that draws nothing.
-    points, faces, spots, directionals, suns : the arrays of each kind, in the order of KINDS; None of one that the
-        scene has not and that the kernels are compiled without: they pay nothing for it.
+    points, faces, spots, directionals, suns, spheres : the arrays of each kind, in the order of KINDS; None of one that
+        the scene has not and that the kernels are compiled without: they pay nothing for it.
     """
 
     kind: np.ndarray
@@ -65,6 +66,7 @@ class Emitters(NamedTuple):
     spots: Spots | None
     directionals: Directionals | None
     suns: Suns | None
+    spheres: SphereLights | None
 
 
 @functools.lru_cache(maxsize=4)
@@ -111,7 +113,7 @@ def bound(scene: SceneArrays, surface: Surface, index: int) -> float:
     emitters = scene.emitters
     row = entry(emitters.row, index)
     kind = emitters.kind[index]
-    return _bound(scene, surface, kind, row, emitters.spots, emitters.directionals, emitters.suns)
+    return _bound(scene, surface, kind, row, emitters.spots, emitters.directionals, emitters.suns, emitters.spheres)
 
 
 @device
@@ -123,6 +125,7 @@ def _bound(
     spots: Spots | None,
     directionals: Directionals | None,
     suns: Suns | None,
+    spheres: SphereLights | None,
 ) -> float:
     if kind == POINT:
         return point.bound(scene, row, surface)
@@ -132,6 +135,8 @@ def _bound(
         return directional.bound(scene, row, surface)
     if suns is not None and kind == SUN:
         return sun.bound(scene, row, surface)
+    if spheres is not None and kind == SPHERE:
+        return sphere.bound(scene, row, surface)
     return face.bound(scene, row, surface)
 
 
@@ -146,6 +151,7 @@ def _sample(
     spots: Spots | None,
     directionals: Directionals | None,
     suns: Suns | None,
+    spheres: SphereLights | None,
 ) -> tuple[Vec3, Vec3, int]:
     kind = scene.emitters.kind[index]
     row = entry(scene.emitters.row, index)
@@ -157,6 +163,8 @@ def _sample(
         return directional.sample(scene, row, probability, surface, u, v)
     if suns is not None and kind == SUN:
         return sun.sample(scene, row, probability, surface, u, v)
+    if spheres is not None and kind == SPHERE:
+        return sphere.sample(scene, row, probability, surface, u, v)
     return face.sample(scene, row, probability, surface, u, v)
 
 
@@ -171,6 +179,7 @@ def _emit(
     spots: Spots | None,
     directionals: Directionals | None,
     suns: Suns | None,
+    spheres: SphereLights | None,
 ) -> tuple[Vec3, Vec3, Vec3, int]:
     kind = scene.emitters.kind[index]
     row = entry(scene.emitters.row, index)
@@ -182,6 +191,8 @@ def _emit(
         return directional.emit(scene, row, probability, aimed, place, way)
     if suns is not None and kind == SUN:
         return sun.emit(scene, row, probability, aimed, place, way)
+    if spheres is not None and kind == SPHERE:
+        return sphere.emit(scene, row, probability, aimed, place, way)
     return face.emit(scene, row, probability, aimed, place, way)
 
 
@@ -240,7 +251,7 @@ def sample_light(scene: SceneArrays, surface: Surface, u: float, v: float) -> tu
             return black, black, -1
     elif len(emitters.kind) > 1:
         index, probability, u = pick(emitters.cdf, u)
-    further = emitters.spots, emitters.directionals, emitters.suns
+    further = emitters.spots, emitters.directionals, emitters.suns, emitters.spheres
     return _sample(scene, index, probability, surface, u, v, *further)
 
 
@@ -251,5 +262,5 @@ def emit_photon(
     """Origin, direction, power and face (-1: none) of a photon, one of one, by two points of the unit square."""
     emitters = scene.emitters
     index, probability, u = pick(emitters.aimed if aimed else emitters.cdf, place[0])
-    further = emitters.spots, emitters.directionals, emitters.suns
+    further = emitters.spots, emitters.directionals, emitters.suns, emitters.spheres
     return _emit(scene, index, probability, aimed, (u, place[1]), way, *further)

@@ -15,7 +15,7 @@ from termwise.scenes.terms import TERMS
 
 _LENGTH, _RADIANCE, _DEGREES = "scene units", "radiance", "degrees"
 # Units of what lights send, and ends of the sliders of their angles.
-_SENT = {"intensity": "radiance × area", "irradiance": "radiance × solid angle"}
+_SENT = {"intensity": "radiance × area", "irradiance": "radiance × solid angle", "radiance": "radiance"}
 _ANGLES = {"cutoff": 90.0, "angle": 180.0}
 
 
@@ -167,7 +167,9 @@ def _light(number: int, light: Light) -> Iterator[Input]:
     for field in attrs.fields(type(light)):
         path: Steps = ("scene", "lights", number, field.name)
         label = of if field.name == "position" else f"{of} {field.name}"
-        if field.name in ("position", "target"):
+        if field.name == "radius":
+            yield Input(path, label, "", _LENGTH)
+        elif field.name in ("position", "target", "center"):
             yield from _triple(path, label, "", _LENGTH, "xyz")
         elif field.name == "direction":
             yield from _triple(path, label, "", "of any length", "xyz")

@@ -1,8 +1,9 @@
-"""Lights: what spot, directional light and sun send at the ends of their ranges is what their formulas say.
+"""Lights: what spot, directional light, sun and sphere send at the ends of their ranges is what their formulas say.
 
 A spot light has an angle of a float64's digits whatever its width and the scale of the scene; a sun has the irradiance
-of its projected disc, `L pi sin² a cos t`, and `L (a - sin a cos a)` on the horizon; photons carry the power, begin
-outside of the scene, and shadow rays end there.
+of its projected disc, `L pi sin² a cos t`, and `L (a - sin a cos a)` on the horizon, and so has a sphere,
+`sin a = r / d`, far away and nearly touched. Photons carry the power; those of distant light begin outside of the
+scene, and shadow rays end there.
 
 What is to be expected: the paper shows no such lights. Mitsuba takes a spot light's angle from its cosine in float32.
 """
@@ -16,13 +17,14 @@ import numpy as np
 from scipy import stats
 
 from termwise.renderer.arrays import SceneArrays, from_scene
-from termwise.renderer.lights import directional, spot, sun
+from termwise.renderer.lights import directional, sphere, spot, sun
 from termwise.renderer.lights.distant import ball_of, before, out_of
+from termwise.renderer.spheres import Spheres, distance_to
 from termwise.renderer.surface import Surface
 from termwise.renderer.vector import Vec3
 from termwise.reports.stress.row import Row
 from termwise.scenes.analytic import plate
-from termwise.scenes.model import Camera, DirectionalLight, Scene, SpotLight, SunLight, Vector
+from termwise.scenes.model import Camera, DirectionalLight, Scene, SphereLight, SpotLight, SunLight, Vector
 
 _EPS = 2.0**-52
 _SPOTS = ((0.0, 90.0), (89.999, 90.0), (0.0, 0.01), (20.0, 20.0), (19.999999, 20.0))
@@ -34,13 +36,13 @@ _UP = Vec3(0.0, 0.0, 1.0)
 
 @functools.lru_cache(maxsize=4)
 def _lit(
-    spot_light: SpotLight, sun_light: SunLight, way: Vector, scale: float = 1.0, offset: float = 0.0
+    spot_light: SpotLight, sun_light: SunLight, way: Vector, scale: float = 1.0, ball: SphereLight | None = None
 ) -> SceneArrays:
     """A plate with a light of each kind: one type for all rows, hence one compilation."""
-    corner = (offset - 3.0 * scale, offset - 3.0 * scale, offset)
-    floor = plate("floor", corner, (6.0 * scale, 0.0, 0.0), (0.0, 6.0 * scale, 0.0))
-    camera = Camera((offset, offset - scale, offset + scale), (offset, offset, offset))
-    lights = (spot_light, DirectionalLight(way, (1.0, 1.0, 1.0)), sun_light)
+    floor = plate("floor", (-3.0 * scale, -3.0 * scale, 0.0), (6.0 * scale, 0.0, 0.0), (0.0, 6.0 * scale, 0.0))
+    ball = ball or SphereLight((0.0, 0.0, scale), 0.25 * scale, (1.0, 1.0, 1.0))
+    camera = Camera((0.0, -9.0 * scale, scale), (0.0, 0.0, 0.0))
+    lights = (spot_light, DirectionalLight(way, (1.0, 1.0, 1.0)), sun_light, ball)
     return from_scene(Scene("lights", camera, (floor,), lights))
 
 
@@ -114,6 +116,46 @@ def grazing(count: int) -> Iterator[Row]:
         yield Row(f"directional light of cosine {cosine:g}", "relative error in units of 2^-52", 4.0, wrong)
 
 
+def spheres(count: int) -> Iterator[Row]:
+    """Irradiance straight below a sphere, `pi L (r / d)²`."""
+    points = stats.qmc.Sobol(2, seed=1).random(1 << (count - 1).bit_length()).tolist()
+    for share in (1e-8, 0.5, 1.0 - 1e-9):
+        for scale in _SCALES:
+
+            def wrong(share: float = share, scale: float = scale) -> float:
+                ball = SphereLight((0.0, 0.0, scale), share * scale, (1.0, 1.0, 1.0))
+                arrays = _lit(_SPOT, _SUN, _DOWN, scale, ball)
+                surface = _at(0.0, 0.0, 0.0)
+                found = np.mean([sphere.sample(arrays, 0, 1.0, surface, u, v)[0].x for u, v in points])
+                return abs(float(found) / share**2 - 1.0)
+
+            yield Row(f"sphere of {share} of its distance, scale {scale:g}", "relative error", 1.0 / len(points), wrong)
+
+
+def meeting(count: int) -> Iterator[Row]:
+    """Where rays meet a sphere, against long doubles; rays that graze it are left out."""
+    rng = np.random.default_rng(2)
+    for scale in _SCALES:
+        for away in (1.5, 1e3, 1e6):
+
+            def wrong(scale: float = scale, away: float = away) -> float:
+                ball = Spheres(np.zeros((1, 3)), np.array([scale]), 0)
+                origins = rng.normal(size=(count, 3))
+                origins *= away * scale / np.linalg.norm(origins, axis=1, keepdims=True)
+                aims = rng.uniform(-0.5, 0.5, (count, 3)) * scale
+                worst = 0.0
+                for origin, direction in zip(origins.tolist(), (aims - origins).tolist(), strict=True):
+                    found = distance_to(ball, 0, Vec3(*origin), Vec3(*direction))
+                    o, d = np.array(origin, np.longdouble), np.array(direction, np.longdouble)
+                    middle = -(o @ d) / (d @ d)
+                    aside = o + middle * d
+                    right = middle - np.sqrt((np.longdouble(scale) ** 2 - aside @ aside) / (d @ d))
+                    worst = max(worst, abs(float((found - right) / right)))
+                return worst / _EPS
+
+            yield Row(f"rays to a sphere from {away:g} radii, scale {scale:g}", "error in units of 2^-52", 64.0, wrong)
+
+
 def outside(count: int) -> Iterator[Row]:
     """Shadow rays to distant light end beyond all surfaces, its photons begin before them, at any place and scale."""
     rng = np.random.default_rng(1)
@@ -146,17 +188,14 @@ def outside(count: int) -> Iterator[Row]:
 def powers(count: int) -> Iterator[Row]:
     """The mean of the photons is the power that the light is picked by."""
     points = stats.qmc.Sobol(4, seed=1).random(1 << (count - 1).bit_length()).tolist()
-    for kind in (spot, directional, sun):
+    for kind in (spot, directional, sun, sphere):
         for scale in _SCALES:
 
             def wrong(kind=kind, scale: float = scale) -> float:
                 light = attrs.evolve(_SPOT, position=(0.0, 0.0, scale))
                 arrays = _lit(light, attrs.evolve(_SUN, angle=60.0), _DOWN, scale)
-                held = {
-                    spot: arrays.emitters.spots,
-                    directional: arrays.emitters.directionals,
-                    sun: arrays.emitters.suns,
-                }
+                lights = arrays.emitters
+                held = {spot: lights.spots, directional: lights.directionals, sun: lights.suns, sphere: lights.spheres}
                 flux = np.mean([kind.emit(arrays, 0, 1.0, False, (a, b), (c, d))[2].x for a, b, c, d in points])
                 return abs(float(flux / kind.power(held[kind], False)[0]) - 1.0)
 
@@ -165,5 +204,5 @@ def powers(count: int) -> Iterator[Row]:
 
 def rows(count: int) -> Iterator[Row]:
     """All rows of the group."""
-    for make in (spots, suns, grazing, outside, powers):
+    for make in (spots, suns, grazing, spheres, meeting, outside, powers):
         yield from make(count)

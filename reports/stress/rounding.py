@@ -85,7 +85,9 @@ def perturbed(scene: Scene, unit: float, rng: np.random.Generator) -> Scene:
             for thing in scene.objects
         ),
         camera=attrs.evolve(camera, position=three(camera.position), target=three(camera.target)),
-        lights=tuple(_with(light, three, "position", "target", "direction", light.sends) for light in scene.lights),
+        lights=tuple(
+            _with(light, three, "position", "target", "center", "direction", light.sends) for light in scene.lights
+        ),
         ambient=attrs.evolve(scene.ambient, color=three(scene.ambient.color)),
         sky=attrs.evolve(scene.sky, color=three(scene.sky.color)),
     )
@@ -116,7 +118,7 @@ def moved(scene: Scene) -> Scene:
             up=(float(up[0]), float(up[1]), float(up[2])),
         ),
         lights=tuple(
-            _with(_with(light, three, "position", "target"), lambda way: tuple(_TURN @ way), "direction")
+            _with(_with(light, three, "position", "target", "center"), lambda way: tuple(_TURN @ way), "direction")
             for light in scene.lights
         ),
     )

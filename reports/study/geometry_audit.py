@@ -17,7 +17,7 @@ import numpy as np
 from termwise import reference
 from termwise.reference.translate import Canonical
 from termwise.reports.study.crossings import Crossings, Soup
-from termwise.scenes.model import Scene, Vector
+from termwise.scenes.model import Scene, SphereLight, Vector
 
 POINTS = 320
 DOUBT = 2.0**-13
@@ -142,6 +142,8 @@ class _Audit:
     def _lights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A point of a light for each point of the film, the normal and the number of its face; 0 and -1 of a point's.
 
+        A sphere's has a normal and no face.
+
         All lights are as likely, and all points of one. Of a light that is nowhere they are those of a disc as large as
         the scene, as far away as shadow rays go. Without any light, points of all faces stand for them.
         """
@@ -153,9 +155,13 @@ class _Audit:
         target, normal, face = np.zeros((POINTS, 3)), np.zeros((POINTS, 3)), np.full(POINTS, -1)
         for number, light in enumerate(lights):
             here = np.flatnonzero(chosen == number)
-            target[here] = (
-                self._far(light.way, len(here)) if light.centre is None else self.canonical.points(light.centre)
-            )
+            if light.centre is None:
+                target[here] = self._far(light.way, len(here))
+                continue
+            target[here] = self.canonical.points(light.centre)
+            if isinstance(light, SphereLight):
+                normal[here] = _unit(self.rng.normal(size=(len(here), 3)))
+                target[here] += light.radius * self.canonical.scale * normal[here]
         for number, thing in enumerate(emitting, start=len(lights)):
             here = np.flatnonzero(chosen == number)
             its = np.flatnonzero(self.owner == thing)
@@ -175,6 +181,22 @@ class _Audit:
         aside -= np.outer(aside @ way, way)
         distance = 0.5 * self.reach * np.sqrt(self.rng.random((count, 1)))
         return distance * _unit(aside) - 2.0 * self.reach * np.array(way)
+
+    def _by_spheres(self, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Segments (N,) bool that a sphere may have to do with: `crossings` know triangles alone.
+
+        One that ends on the near side of a sphere has nothing to do with it.
+        """
+        touched = np.zeros(len(begin), bool)
+        way = end - begin
+        for sphere in self.scene.spheres:
+            center, radius = self.canonical.points(sphere.center), sphere.radius * self.canonical.scale
+            square = np.einsum("nx,nx->n", way, way)
+            along = np.einsum("nx,nx->n", center - begin, way) / np.where(square > 0.0, square, 1.0)
+            nearest = begin + np.clip(along, 0.0, 1.0)[:, None] * way
+            ends_there = np.abs(np.linalg.norm(end - center, axis=1) - radius) < DOUBT
+            touched |= (np.linalg.norm(nearest - center, axis=1) < radius + DOUBT) & ~(ends_there & (along >= 1.0))
+        return touched
 
     # Comparing.
 
@@ -196,6 +218,7 @@ class _Audit:
         if left is not None:
             crossings = self._passed(crossings, self._number(left))
         asked = np.ones(len(begin), bool) if asked is None else asked
+        asked = asked & ~self._by_spheres(begin, end)
         self.found.asked += int(asked.sum())
         thing = np.where(met.face >= 0, met.object, -1)
         length = np.linalg.norm(end - begin, axis=1)
@@ -238,7 +261,8 @@ class _Audit:
         start, own = self._on_face(met), self._number(met)
         way = target - start
         asked = (met.face >= 0) & (np.einsum("nx,nx->n", way, normal) > 0.0) & (own != its_face)
-        asked &= (its_face < 0) | (np.einsum("nx,nx->n", way, its_normal) < 0.0)
+        asked &= ~its_normal.any(axis=1) | (np.einsum("nx,nx->n", way, its_normal) < 0.0)
+        asked &= ~self._by_spheres(start, target)
         if self.scene.ignore == "object":
             asked &= (its_face < 0) | (self.owner[own] != self.owner[its_face])
         index = np.flatnonzero(asked)

@@ -98,6 +98,8 @@ DIRECTIONAL = Case("directional lights", "direct", "path", samples=64)
 DIRECTIONAL_PHOTONS = Case("directional lights", "direct", "photon-map", samples=16)
 WIDE_SUN = Case("wide sun lights", "direct", "path", samples=256)
 SUN_PHOTONS = Case("wide sun lights", "direct", "photon-map", samples=16)
+SPHERE = Case("sphere lights", "direct", "path", samples=256)
+SPHERE_PHOTONS = Case("sphere lights", "direct", "photon-map", samples=16)
 ALL_LIGHTS = Case("lights", "direct", "path", samples=256)
 
 _AMBIENT = "renderer/terms/ambient.py"
@@ -108,6 +110,7 @@ _FACE = "renderer/lights/face.py"
 _SPOT = "renderer/lights/spot.py"
 _DIRECTIONAL = "renderer/lights/directional.py"
 _SUN = "renderer/lights/sun.py"
+_SPHERE = "renderer/lights/sphere.py"
 _DISTANT = "renderer/lights/distant.py"
 _ARRIVING = "renderer/lights/arriving.py"
 _LOBE = "renderer/microfacet.py"
@@ -663,11 +666,32 @@ PLANTS = (
         "return math.radians(self.angle)",
     ),
     Plant(
+        "sphere: wrong density of the cone",
+        SPHERE,
+        _SPHERE,
+        "below = sine / (1.0 + math.sqrt(1.0 - sine))",
+        "below = 0.5 * sine",
+    ),
+    Plant(
+        "sphere: half of its photons' flux",
+        SPHERE_PHOTONS,
+        _SPHERE,
+        "4.0 * math.pi**2 * radius * radius / probability",
+        "2.0 * math.pi**2 * radius * radius / probability",
+    ),
+    Plant(
+        "sphere: casts no shadow",
+        ALL_LIGHTS,
+        "renderer/spheres.py",
+        "and distance_to(spheres, index, origin, direction) < far",
+        "and distance_to(spheres, index, origin, direction) < 0.0",
+    ),
+    Plant(
         "lights: one kind at the place of another",
         ALL_LIGHTS,
         _LIGHTS,
-        "POINT, FACE, SPOT, DIRECTIONAL, SUN = range(len(KINDS))",
-        "POINT, FACE, SPOT, SUN, DIRECTIONAL = range(len(KINDS))",
+        "POINT, FACE, SPOT, DIRECTIONAL, SUN, SPHERE = range(len(KINDS))",
+        "POINT, FACE, SPOT, SUN, DIRECTIONAL, SPHERE = range(len(KINDS))",
     ),
     # Sky and camera.
     Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),

@@ -85,6 +85,7 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "spot": _only("spot"),
     "directional": _only("directional"),
     "sun": _only("sun"),
+    "sphere": _only("sphere"),
     "wide": _wide,
     "plain": lambda scene: attrs.evolve(scene, sky=Sky((0.5, 0.6, 0.8))),
     "panorama": lambda scene: attrs.evolve(scene, sky=attrs.evolve(scene.sky, projection="lat-long", radius=math.inf)),
@@ -103,9 +104,9 @@ class Case:
     ----------
     scene : a library scene, before its name words of what is changed: `glossy`, `metal` and `faint` are lobes of all
         surfaces, `turned`: the first object's faces look the other way, `smooth`: vertex normals, `lamps`: more
-        lights, `spot`, `directional`, `sun`: of all lights those alone, `wide`: a wide sun, `plain` and `panorama`:
-        another sky, `shadowed` and `bright`: choices of the paper, `drawn`: lights are seen, `sharp`: another kernel of
-        photons.
+        lights, `spot`, `directional`, `sun`, `sphere`: of all lights those alone, `wide`: a wide sun, `plain` and
+        `panorama`: another sky, `shadowed` and `bright`: choices of the paper, `drawn`: lights are seen, `sharp`:
+        another kernel of photons.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.

@@ -18,9 +18,12 @@ from termwise.reference import translate
 from termwise.reference.translate import Canonical
 from termwise.renderer import Engine, find
 from termwise.renderer.lights import KINDS, emitters_of
+from termwise.reports.study import geometry_audit
 from termwise.scenes.analytic import plate
 from termwise.scenes.limits import Kernel, Limit, physical
+from termwise.scenes.load import load
 from termwise.scenes.model import (
+    Ambient,
     Camera,
     DirectionalLight,
     Material,
@@ -28,6 +31,7 @@ from termwise.scenes.model import (
     PointLight,
     Scene,
     Sky,
+    SphereLight,
     SpotLight,
     SunLight,
 )
@@ -38,6 +42,7 @@ LIGHTS = {
     "spot": SpotLight((1.2, -0.8, 2.5), (0.1, 0.0, 0.0), (9.0, 6.0, 3.0), cutoff=35.0, beam=15.0),
     "directional": DirectionalLight((0.3, 0.2, -0.5), (3.0, 2.0, 1.0)),
     "sun": SunLight((0.3, 0.2, -0.5), (3.0, 2.0, 1.0), angle=25.0),
+    "sphere": SphereLight((0.9, -0.7, 1.3), 0.4, (3.0, 2.0, 1.0)),
 }
 
 
@@ -196,7 +201,7 @@ def test_photons_of_several_kinds_are_shared_by_power():
 
     surfaces = kernel_reference.surfaces_of(loaded.scenes["direct"], loaded.description["parts"])
     scale = Canonical.of(scene).scale
-    spot, directional, sun, _ = lights
+    spot, directional, sun, sphere, _ = lights
     beam, cutoff = spot.angles
     shape = 1.0 - (math.sin(cutoff) - math.sin(beam)) / (cutoff - beam)
     low, high = scene.bounds()
@@ -205,14 +210,38 @@ def test_photons_of_several_kinds_are_shared_by_power():
         2 * math.pi * 6.0 * shape,
         across * 2.0,
         across * 2.0 * 2.0 / (1.0 + math.cos(sun.half_angle)),
+        4 * math.pi**2 * sphere.radius**2 * 2.0,
         4 * math.pi * 1.0,
     ]
-    found = [each.power.mean() for each in surfaces.emitters]
-    np.testing.assert_allclose(found, scale**2 * np.array(powers), rtol=1e-3)
-    np.testing.assert_allclose([each.share for each in surfaces.emitters], np.array(powers) / sum(powers), rtol=1e-3)
-    assert [each.cone is None for each in surfaces.emitters] == [True, True, True, False]
+    found = sorted(each.power.mean() for each in surfaces.emitters)
+    np.testing.assert_allclose(found, scale**2 * np.sort(powers), rtol=1e-3)
+    shares = sorted(each.share for each in surfaces.emitters)
+    np.testing.assert_allclose(shares, np.sort(powers) / sum(powers), rtol=1e-3)
+    (even,) = (each for each in surfaces.emitters if each.cone is not None)
+    assert even.power.mean() == pytest.approx(scale**2 * powers[-1], rel=1e-3)
     emitters = emitters_of(scene)
     ours = np.concatenate(
-        [kind.power(each, False) for kind, each in zip(KINDS, emitters[-5:], strict=True) if each is not None]
+        [kind.power(each, False) for kind, each in zip(KINDS, emitters[-6:], strict=True) if each is not None]
     )
     np.testing.assert_allclose(sorted(ours), sorted(powers), rtol=1e-6)
+
+
+def test_a_sphere_is_black_in_all_of_mitsubas_scenes():
+    """It hides ambient light, `AO = 1 - sin² a cos t`, whether it shines or not, and the sky; it may be drawn."""
+    light = SphereLight((0.0, 0.0, 1.0), 0.5, (3.0, 2.0, 1.0))
+    floor = plate("floor", (-2.0, -2.0, 0.0), (4.0, 0.0, 0.0), (0.0, 4.0, 0.0), GREY)
+    camera = Camera((0.0, -3.0, 0.5), (0.0, 0.0, 0.0), fov=0.01)
+    scene = Scene("ball", camera, (floor,), (light,), ambient=Ambient((1.0, 1.0, 1.0)), resolution=(2, 2))
+    for each in (light, attrs.evolve(light, radiance=(0.0, 0.0, 0.0))):
+        found = reference.render(attrs.evolve(scene, lights=(each,)), "ambient", spp=2**14, seed=1).mean
+        np.testing.assert_allclose(found.mean(), 0.5 * 0.75, rtol=5e-3)
+    towards = attrs.evolve(scene, camera=attrs.evolve(camera, target=light.center), sky=Sky((0.5, 0.5, 0.5)))
+    assert not reference.render(towards, "background", spp=1, seed=1).mean.any()
+    drawn = reference.render(attrs.evolve(towards, draw_lights=True), "background", spp=1, seed=1).mean
+    np.testing.assert_allclose(drawn, np.broadcast_to(light.radiance, (2, 2, 3)))
+
+
+def test_the_library_scene_of_lights_passes_its_audit():
+    finding = geometry_audit.audit(load("lights"), seed=1)
+    assert finding.place is None
+    assert finding.asked > geometry_audit.POINTS

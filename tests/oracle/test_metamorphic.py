@@ -31,7 +31,7 @@ from termwise.reports import cli
 from termwise.reports.results.exr import read_exr
 from termwise.scenes.analytic import closed_box
 from termwise.scenes.load import library, load
-from termwise.scenes.model import Color, Light, Mesh, Object, Scene, SunLight, Vector
+from termwise.scenes.model import Color, Light, Mesh, Object, Scene, SphereLight, SunLight, Vector
 from termwise.scenes.terms import TERMS, Term, total
 from tests.scenes import small
 
@@ -54,7 +54,7 @@ def vector(values: np.ndarray) -> Vector:
     return x, y, z
 
 
-PLACES = "position", "target"
+PLACES = "position", "target", "center"
 
 
 def changed(light: Light, change: Callable[[Vector], Vector], *fields: str) -> Light:
@@ -140,7 +140,8 @@ def transformed(
     def light(before: Light) -> Light:
         after = changed(before, lambda point: vector(moved(point)), *PLACES)
         after = changed(after, lambda way: vector(turned @ np.array(way)), "direction")
-        return changed(after, lambda sent: vector(scale**2 * np.array(sent)), "intensity")
+        after = changed(after, lambda sent: vector(scale**2 * np.array(sent)), "intensity")
+        return attrs.evolve(after, radius=scale * after.radius) if isinstance(after, SphereLight) else after
 
     camera, sky = scene.camera, scene.sky
     position, target = (vector(moved(point)) for point in (camera.position, camera.target))
@@ -259,7 +260,9 @@ def test_turned_to_rounding(term: Term, turn: str):
             scene,
             scope="first-hit",
             photons=attrs.evolve(scene.photons, scattering="diffuse"),
-            lights=tuple(each for each in scene.lights if not isinstance(each, SunLight)),  # drawn about its middle
+            lights=tuple(
+                each for each in scene.lights if not isinstance(each, SunLight | SphereLight)
+            ),  # drawn in a frame
         )
         if term == "background" and turn == "axes permuted" and scene.sky.texture is not None:
             continue

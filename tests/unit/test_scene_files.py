@@ -110,7 +110,7 @@ BAD = {
     ),
     "kind of light": (
         GOOD + '[[lights]]\nkind = "laser"\nposition = [0.0, 0.0, 1.0]\n',
-        ["lights[0]", "kind = 'laser'", "point, spot, directional, sun"],
+        ["lights[0]", "kind = 'laser'", "point, spot, directional, sun, sphere"],
     ),
     "light that is a number": (GOOD + "[[lights]]\nkind = 1\n", ["lights[0]", "kind = 1", "point, spot"]),
     "spot without a direction": (
@@ -137,9 +137,17 @@ BAD = {
         GOOD + '[[lights]]\nkind = "sun"\ndirection = [0, 0, -1]\nirradiance = [1, 1, 1]\nangle = 181\n',
         ["lights[0]", "angle = 181.0", "[0.001, 180]"],
     ),
+    "camera in a light": (
+        GOOD + '[[lights]]\nkind = "sphere"\ncenter = [0, -3, 0]\nradius = 1.5\nradiance = [1, 1, 1]\n',
+        ["lights[0]", "radius = 1.5", "the camera at (0.0, -3.0, 1.0) is outside of"],
+    ),
+    "sphere of no size": (
+        GOOD + '[[lights]]\nkind = "sphere"\ncenter = [0, 0, 3]\nradius = 0\nradiance = [1, 1, 1]\n',
+        ["lights[0]", "radius = 0.0", "(0, inf)"],
+    ),
     "the paper's shadow of a light that is nowhere": (
         'shadows = "paper"\n' + GOOD + '[[lights]]\nkind = "sun"\ndirection = [0, 0, -1]\nirradiance = [1, 1, 1]\n',
-        ["lights[0]", "kind = 'sun'", "shadows = 'paper'", "point, spot"],
+        ["lights[0]", "kind = 'sun'", "shadows = 'paper'", "point, spot, sphere"],
     ),
     "light without intensity": (GOOD + "[[lights]]\nposition = [0.0, 0.0, 1.0]\n", ["lights", "intensity", "missing"]),
     "mesh that is missing": (mesh_object("none.ply"), ["file = 'none.ply'", "no such file"]),

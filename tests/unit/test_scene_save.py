@@ -19,6 +19,7 @@ from termwise.scenes.model import (
     PointLight,
     Scene,
     Sky,
+    SphereLight,
     SpotLight,
     SunLight,
     Toggles,
@@ -60,13 +61,14 @@ def everything() -> Scene:
 SCENES = {
     **{name: load(name) for name in library()},
     "everything": everything(),
-    "distant lights": attrs.evolve(
+    "lights of all kinds": attrs.evolve(
         load("two_cubes"),
         lights=(
             DirectionalLight((0.1, 0.2, -0.3), (3.0, 2.0, 1.0)),
             SunLight((0.1, 0.2, -0.3), (3.0, 2.0, 1.0)),
             SunLight((0.1, 0.2, -0.3), (3.0, 2.0, 1.0), 7.25),
             SpotLight((0.1, 0.2, 0.3), (3.0, 2.0, 1.0), (1.0, 1.0, 1.0)),
+            SphereLight((0.1, 0.2, 7.0), 0.125, (3.0, 2.0, 1.0)),
         ),
     ),
     "empty": Scene("empty", Camera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))),

@@ -22,7 +22,7 @@ from termwise.reports.jobs import cells
 from termwise.scenes import reads, terms
 from termwise.scenes.limits import Limit, correct, physical
 from termwise.scenes.load import load
-from termwise.scenes.model import DirectionalLight, Material, PointLight, Scene, SpotLight, SunLight
+from termwise.scenes.model import DirectionalLight, Material, PointLight, Scene, SphereLight, SpotLight, SunLight
 from termwise.scenes.terms import TABLE, TERMS, total
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -36,6 +36,7 @@ def scene() -> Scene:
         SpotLight((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
         DirectionalLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0)),
         SunLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0)),
+        SphereLight((0.0, 0.0, 3.0), 0.5, (1.0, 1.0, 1.0)),
     )
     return attrs.evolve(load("two_cubes"), lights=lights, resolution=(4, 4))
 
@@ -148,6 +149,7 @@ def test_what_is_in_every_key(scene: Scene, record_property):
     fields = dict.fromkeys(path for path, _, _ in reads.fields_of(scene))
     everywhere = [path for path in fields if path not in terms.named()]
     expected = [path for path in fields if path.startswith(("camera.", "objects.mesh."))]
+    expected += ["lights.center", "lights.radius"]  # surfaces too
     assert {*expected, "resolution", "intersection"} <= {*everywhere}
     new = {*everywhere} - {*expected, "resolution", "intersection"}
     record_property("in every key", everywhere)
