@@ -153,7 +153,7 @@ def meeting(count: int) -> Iterator[Row]:
                     worst = max(worst, abs(float((found - right) / right)))
                 return worst / _EPS
 
-            yield Row(f"rays to a sphere from {away:g} radii, scale {scale:g}", "error in units of 2^-52", 64.0, wrong)
+            yield Row(f"rays to a sphere from {away:g} radii, scale {scale:g}", "error in units of 2^-52", 16.0, wrong)
 
 
 def outside(count: int) -> Iterator[Row]:

@@ -54,7 +54,7 @@ def classify(geometry: Geometry, faces: np.ndarray, points: np.ndarray, radius: 
     seen = np.flatnonzero(faces >= 0)
     found = np.full(len(faces), UNSEEN)
     found[seen] = CLASSES.index("interior")
-    objects = geometry.object
+    objects = geometry.object[: len(geometry.corners)]  # without spheres
     piece, ends = _pieces(geometry)
     for number in np.unique(piece[faces[seen]]):
         on = seen[piece[faces[seen]] == number]
