@@ -33,7 +33,7 @@ def _ambient(loaded: Any, _limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses."""
     scene = loaded.scenes["ambient"]
     reach = dr.opaque(mi.Float, loaded.description["ambient"]["range"])
-    color = dr.opaque(mi.Color3f, loaded.description["ambient"]["color"])
+    light = ambient.light_of(loaded)
 
     def radiance(ray: Any, sampler: Any, active: Any) -> Any:
         si = scene.ray_intersect(ray, active)
@@ -41,12 +41,13 @@ def _ambient(loaded: Any, _limit: dict[str, Any]) -> Any:
         if idle(active):
             return mi.Color3f(0.0)
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
-        seen = mi.Float(0.0)
+        seen = mi.Color3f(0.0)
         for _ in range(ambient.RAYS):
             local = mi.warp.square_to_uniform_hemisphere(sampler.next_2d(active))
-            met = scene.ray_intersect(rays.spawn(si, si.to_world(local * rays.side(loaded, si))), active)
-            seen += dr.select(met.is_valid() & (met.t < reach), 0.0, 2.0 * local.z)
-        return dr.select(active, albedo * color * (seen / ambient.RAYS), 0.0)
+            ray = rays.spawn(si, si.to_world(local * rays.side(loaded, si)))
+            met = scene.ray_intersect(ray, active)
+            seen += dr.select(met.is_valid() & (met.t < reach), 0.0, 2.0 * local.z * light(ray, active))
+        return dr.select(active, albedo * (seen / ambient.RAYS), 0.0)
 
     return radiance
 

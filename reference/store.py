@@ -27,7 +27,7 @@ from termwise.scenes.store import ROOT, sources_digest, write_atomically
 from termwise.scenes.terms import Term
 
 # What full light transport leaves out of a scene.
-_NOT_PHYSICAL = ("ambient.color", "ambient.range", "max_bounces", "draw_lights")
+_NOT_PHYSICAL = ("ambient.color", "ambient.range", "ambient.source", "max_bounces", "draw_lights")
 
 
 class Replicates(NamedTuple):

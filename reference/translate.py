@@ -85,7 +85,8 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "scale": canonical.scale,
         "camera": _camera(scene, canonical),
         "ambient": {
-            "color": list(scene.ambient.color),
+            # Of a textured sky it is the sky's own, see `terms.ambient`.
+            "color": None if scene.ambient_light is None else list(scene.ambient_light),
             "range": min(scene.occlusion_range * canonical.scale, UNBOUNDED),
         },
         "sky": _sky(scene, canonical),
@@ -227,8 +228,8 @@ def _scene(scene: Scene, shapes: tuple[Object, ...], role: Role, canonical: Cano
         for number, light in enumerate(scene.lights):
             if not isinstance(light, SphereLight):
                 described[f"light{number}"] = _LIGHTS[type(light)](light, scene, canonical)
-    if role == "ambient" and math.isinf(scene.occlusion_range):
-        described["sky"] = {"type": "constant", "radiance": _rgb(scene.ambient.color)}
+    if role == "ambient" and math.isinf(scene.occlusion_range) and scene.ambient_light is not None:
+        described["sky"] = {"type": "constant", "radiance": _rgb(scene.ambient_light)}
     if role in ("physical-sky", "physical") and not scene.sky.is_black:
         described["sky"] = _sky_emitter(scene, canonical)
     return described

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer import material, triangles
+from termwise.renderer import material, sky_light, triangles
 from termwise.renderer.lights import Emitters, emitters_of, samples_differ
 from termwise.renderer.material import Materials
+from termwise.renderer.sky_light import SkyMap
 from termwise.renderer.triangles import Geometry
 from termwise.renderer.vector import Vec3
 from termwise.scenes.model import Camera, Scene
@@ -65,6 +66,7 @@ class Skips(NamedTuple):
 class SceneArrays(NamedTuple):
     """All that a kernel sees of a scene; `ambient_range` 0 means that ambient occlusion is off.
 
+    `ambient` is L_a0; where the ambient light is a textured sky, of which `sky_map` says where it is bright, it is 1.
     `faint` is the throughput below which the roulette plays for a specular chain, 0 for never; `pick_by_light` whether
     light sampling chooses among the emitters by what they may send to a point; `light_samples` how many light samples
     stand beside one estimate by photons; `most_survival` the most that a roulette of light lets live;
@@ -79,6 +81,7 @@ class SceneArrays(NamedTuple):
     sky: SkyArrays
     camera: CameraArrays
     ambient: Vec3
+    sky_map: SkyMap | None
     ambient_range: float
     max_bounces: int
     rings: int
@@ -132,7 +135,8 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
         _shadow_rule(scene),
         _sky(scene, without),
         _camera(scene.camera, scene.resolution),
-        Vec3(*scene.ambient.color),
+        Vec3(1.0, 1.0, 1.0) if scene.ambient_light is None else Vec3(*scene.ambient_light),
+        sky_light.from_scene(scene),
         scene.occlusion_range,
         scene.max_bounces,
         scene.rings,

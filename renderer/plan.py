@@ -231,15 +231,15 @@ def _occlusion(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     if not ambient:
         return None
     return first(
-        (not scene.occlusion_range, "ambient occlusion is off: L_a0 everywhere"),
+        (scene.ambient_light is not None and not scene.occlusion_range, "ambient occlusion is off: L_a0 everywhere"),
         (not any(each.occludes for each in ambient), "the variant is L_a0 itself"),
-        (not any(scene.ambient.color), "the ambient light is black"),
+        (not scene.has_ambient, "the ambient light is black"),
     )
 
 
 def _openness(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     known = any(each.open_is_one for each in _estimators(variant, chain))
-    if not known or _occlusion(scene, variant, chain) or not _open(scene):
+    if not known or scene.ambient_light is None or _occlusion(scene, variant, chain) or not _open(scene):
         return None
     return f"nothing lies within the range of {_names(_open(scene))}: AO = 1"
 

@@ -83,6 +83,11 @@ class Recorder:
         pdf = {ambient.COSINE: local.z / math.pi, ambient.PAPER_LOOP: None}.get(given.rule, _UNIFORM)
         self.note("ambient direction", local=local, pdf=pdf, weight=weight)
 
+    def sky_light(self, given: Any, drawn: Any, caller: FrameType) -> None:
+        """A direction of ambient light that is the sky's; the weight is that of `L_sky cos / pi`."""
+        direction, weight = drawn
+        self.note("ambient direction", direction=direction, weight=weight)
+
     def ambient_light(self, given: Any, found: Any, caller: FrameType) -> None:
         """The radiance of a surface that nothing hides."""
         self.note("ambient light", unhidden=found[0])
@@ -198,6 +203,7 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     surface.occluded,
     surface.occlude_group,
     ambient.sample_hemisphere,
+    ambient.sky_light,
     ambient.ambient_light,
     lights.pick,
     lights.pick_by_light,

@@ -5,11 +5,16 @@ A ray that misses everything meets the sphere around `center`; with n the unit v
 settings: `v = acos(n.z) / pi` (lat-long), and n = the ray's direction (infinite radius).
 """
 
-import math
+from __future__ import annotations
 
-from termwise.renderer.arrays import SkyArrays
+import math
+from typing import TYPE_CHECKING
+
 from termwise.renderer.jit import device
 from termwise.renderer.vector import Vec3, add, dot, mad, scale, sub
+
+if TYPE_CHECKING:  # it holds what is defined here
+    from termwise.renderer.arrays import SkyArrays
 
 
 @device

@@ -399,10 +399,20 @@ class Sky:
 
 @attrs.frozen
 class Ambient:
-    """The ambient light L_a0, and the distance beyond which nothing occludes it (`range`)."""
+    """The ambient light, and the distance beyond which nothing occludes it (`range`).
+
+    It is L_a0 = `color` from everywhere, or, with the `source` "sky", what the sky sends from each direction:
+    `(1 / pi) ∫ hit L_sky cos` in the place of `AO L_a0`.
+    """
 
     color: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
     range: float = attrs.field(converter=_number, default=math.inf, validator=in_range(0.0, open_low=True))
+    source: Literal["constant", "sky"] = "constant"
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse a colour that nothing would read."""
+        if self.source == "sky" and any(self.color):
+            raise ValueError(f"color = {self.color!r}: allowed is none with source = 'sky'")
 
 
 @attrs.frozen
@@ -616,6 +626,18 @@ class Scene:
     def has_lights(self) -> bool:
         """Whether anything emits light and lighting is on."""
         return self.toggles.lighting and (any(map(shines, self.lights)) or any(thing.emits for thing in self.objects))
+
+    @property
+    def ambient_light(self) -> Color | None:
+        """L_a0, that of a sky of one colour too; None where the ambient light is a textured sky."""
+        if self.ambient.source == "constant":
+            return self.ambient.color
+        return BLACK if self.sky.is_black else self.sky.color if self.sky.texture is None else None
+
+    @property
+    def has_ambient(self) -> bool:
+        """Whether the ambient light is other than black."""
+        return self.ambient_light is None or any(self.ambient_light)
 
     @property
     def spheres(self) -> tuple[SphereLight, ...]:

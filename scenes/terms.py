@@ -145,10 +145,11 @@ TABLE: dict[Term, TermRow] = {
             "ambient",
             weight=_ambient,
             absent=lambda scene: first(
-                (not any(scene.ambient.color), "the ambient light is black"), (_without(scene, _ambient), _NO_DIFFUSE)
+                (not scene.has_ambient, "the ambient light is black"), (_without(scene, _ambient), _NO_DIFFUSE)
             ),
             reads=(
                 read("ambient.color", "ambient.range", "toggles.ambient_occlusion", "rings"),
+                read("ambient.source", *_SKY.fields, when=lambda scene: scene.ambient.source == "sky"),
                 _RULES,
                 _EMITTERS,
                 _DIFFUSE,

@@ -2,7 +2,8 @@
 
 Cosine-distributed rays as long as the range are cast. Range 0, or a limit without occlusion: AO is 1.
 With N rings the integral is `(2/N) Σ mu_k hit_k`, mu_k = k / (N + 1), its azimuths uniform. Where the paper's shadow
-rule makes a point dark, its albedo is `color`.
+rule makes a point dark, its albedo is `color`. Where the ambient light is a textured sky, it is looked up along each
+ray, in the place of L_a0.
 """
 
 from typing import Any
@@ -33,7 +34,7 @@ def incoming(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = RAYS) 
     scene = loaded.scenes["ambient"]
     reach = loaded.description["ambient"]["range"] if limit["occluded"] else 0.0
     dark = shadows.rule(loaded, limit, "ambient")
-    color = dr.opaque(mi.Color3f, loaded.description["ambient"]["color"])
+    light = light_of(loaded)
 
     def radiance(ray: Any, sampler: Any, active: Any) -> Any:
         si = scene.ray_intersect(ray, active)
@@ -45,29 +46,44 @@ def incoming(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = RAYS) 
             plain = loaded.scenes["color"].ray_intersect(ray, active)
             color_alone = plain.bsdf().eval_diffuse_reflectance(plain, active)
             albedo = dr.select(dark(si, active), color_alone, albedo)
-        if reach == 0.0:
-            return dr.select(active, albedo * color, 0.0)
-        seen = mi.Float(0.0)
+        constant = loaded.description["ambient"]["color"] is not None
+        if reach == 0.0 and constant:
+            return dr.select(active, albedo * light(ray, active), 0.0)
+        seen = mi.Color3f(0.0)
         for _ in range(occlusion_rays):
-            if limit["rings"] is None:
+            if limit["rings"] is None or reach == 0.0:
                 local, weight = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active)), 1.0
             else:
                 local = ring_direction(sampler.next_2d(active), limit["rings"])
                 weight = 2.0 * local.z
             occlusion_ray = rays.spawn(si, si.to_world(local * rays.side(loaded, si)))
+            sent = weight * light(occlusion_ray, active)
+            if reach == 0.0:
+                seen += sent
+                continue
             if reach < UNBOUNDED:
                 occlusion_ray.maxt = dr.opaque(mi.Float, reach)
-            seen += dr.select(rays.blocked(loaded, scene, si, occlusion_ray, active), 0.0, weight)
-        return dr.select(active, albedo * color * (seen / occlusion_rays), 0.0)
+            seen += dr.select(rays.blocked(loaded, scene, si, occlusion_ray, active), 0.0, sent)
+        return dr.select(active, albedo * (seen / occlusion_rays), 0.0)
 
     return radiance
+
+
+def light_of(loaded: Any) -> Any:
+    """(ray, active) -> the ambient light that comes against a ray: L_a0, or the textured sky's."""
+    color = loaded.description["ambient"]["color"]
+    if color is None:
+        return loaded.sky
+    opaque = dr.opaque(mi.Color3f, color)
+    return lambda ray, active: opaque
 
 
 def built_in(loaded: Any, limit: dict[str, Any]) -> bool:
     """Whether the limit is that of Mitsuba's own integrator."""
     bounded = loaded.description["ambient"]["range"] < UNBOUNDED
     plain = limit["occluded"] and limit["rings"] is None and limit["shadows"] == "physical"
-    return plain and not bounded and rays.plain(loaded)
+    constant = loaded.description["ambient"]["color"] is not None
+    return plain and constant and not bounded and rays.plain(loaded)
 
 
 def ring_direction(sample: Any, rings: int) -> Any:

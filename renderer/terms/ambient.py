@@ -9,6 +9,9 @@ is drawn and weighted, and hence in what they converge to:
 - `paper-loop`: the rings `mu_k = k / (N + 1)` of the loop in the paper's code, weight mu_k: half of the rule
   `(2 pi / N) sum mu_k hit / pi`, AO / 2 as N grows. `(1/N) sum mu_k = 1/2`: on an open surface the rule is exact.
 - `constant`: no rays, weight 1: ambient occlusion off.
+
+Where the ambient light is a textured sky, L_sky of the direction is in the place of L_a0, in every variant, and
+`cosine` draws half of its directions where the sky is bright (`renderer.sky_light`).
 """
 
 import math
@@ -22,6 +25,8 @@ from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sees_all_ambient, whole_color
 from termwise.renderer.scratch import Scratch
+from termwise.renderer.sky import sky_radiance
+from termwise.renderer.sky_light import SkyMap, sky_light
 from termwise.renderer.sobol import Sampler, sample_2d
 from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
 from termwise.renderer.terms.estimator import Compiled
@@ -66,9 +71,17 @@ def ambient_light(scene: SceneArrays, rule: int, surface: Surface, dark: bool) -
     radiance = mul(share, scene.ambient)
     if scene.skips.diffuse and is_black(radiance):
         return radiance, False
+    return radiance, _asks(scene, scene.sky_map, rule, surface)
+
+
+@device
+def _asks(scene: SceneArrays, sky_map: SkyMap | None, rule: int, surface: Surface) -> bool:
+    """Whether a sample has a direction."""
+    if sky_map is not None:
+        return True
     if scene.skips.occlusion and ambient_reach(scene, rule) == 0.0:
-        return radiance, False
-    return radiance, rule != COSINE or not sees_all_ambient(scene, surface)
+        return False
+    return rule != COSINE or not sees_all_ambient(scene, surface)
 
 
 @device
@@ -80,6 +93,22 @@ def ambient_direction(scene: SceneArrays, rule: int, normal: Vec3, u: float, v: 
 
 
 @device
+def _by_direction(
+    scene: SceneArrays, sky_map: SkyMap | None, rule: int, origin: Vec3, normal: Vec3, u: float, v: float
+) -> tuple[Vec3, Vec3]:
+    """Direction of one sample, and its weight in each channel: that of `ambient_direction`, times the sky's light.
+
+    Where the weight is 1 throughout, by `COSINE`, the direction is drawn by the sky as well.
+    """
+    if sky_map is not None and (rule == COSINE or ambient_reach(scene, rule) == 0.0):
+        return sky_light(scene, sky_map, origin, normal, u, v)
+    direction, weight = ambient_direction(scene, rule, normal, u, v)
+    if sky_map is not None:
+        return direction, scale(sky_radiance(scene.sky, origin, direction), weight)
+    return direction, Vec3(weight, weight, weight)
+
+
+@device
 def ambient_radiance(
     scene: SceneArrays, rule: int, surface: Surface, dark: bool, sampler: Sampler, scratch: Scratch
 ) -> Vec3:
@@ -88,10 +117,10 @@ def ambient_radiance(
     if not asks:
         return radiance
     u, v = sample_2d(sampler, OCCLUSION)
-    direction, weight = ambient_direction(scene, rule, surface.normal, u, v)
+    direction, weight = _by_direction(scene, scene.sky_map, rule, surface.point, surface.normal, u, v)
     if occluded(scene, surface, direction, ambient_reach(scene, rule), -1, scratch):
         return Vec3(0.0, 0.0, 0.0)
-    return scale(radiance, weight)
+    return mul(radiance, weight)
 
 
 @device
@@ -103,7 +132,20 @@ def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratc
     for k in range(asking):
         sampler = Sampler(scratch.key[k], scratch.sample[k])
         scratch.u[k], scratch.v[k] = sample_2d(sampler, OCCLUSION)
+    _weigh(scene, scene.sky_map, rule, asking, scratch)
+
+
+@device
+def _weigh(scene: SceneArrays, sky_map: SkyMap | None, rule: int, asking: int, scratch: Scratch) -> None:
     directions, weights = scratch.rays.directions, scratch.u
+    if sky_map is not None:
+        for k in range(asking):
+            origin, normal = column(scratch.rays.origins, k), column(directions, k)
+            direction, weight = _by_direction(scene, sky_map, rule, origin, normal, scratch.u[k], scratch.v[k])
+            put_column(directions, k, direction)
+            lane = scratch.lane[k]
+            put(scratch.radiance, lane, mul(vec3(scratch.radiance, lane), weight))
+        return
     for k in range(asking):
         direction, weights[k] = ambient_direction(scene, rule, column(directions, k), scratch.u[k], scratch.v[k])
         put_column(directions, k, direction)

@@ -10,7 +10,7 @@ import attrs
 
 from termwise.renderer.terms import VARIANTS
 from termwise.reports.live.state import State, Steps
-from termwise.scenes.model import Light, Photons, Scene, Sky
+from termwise.scenes.model import Ambient, Light, Photons, Scene, Sky
 from termwise.scenes.terms import TERMS
 
 _LENGTH, _RADIANCE, _DEGREES = "scene units", "radiance", "degrees"
@@ -99,6 +99,11 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                     Input(("scene", "objects", number, "size"), f"{thing.name} size", "", "root of its area"),
                     *_triple(("scene", "objects", number, "emission"), f"{thing.name} emission", "", _RADIANCE, "RGB"),
                 )
+            ),
+            Input(
+                ("scene", "ambient", "source"),
+                "ambient light is",
+                choices=get_args(attrs.fields_dict(Ambient)["source"].type),
             ),
             *_triple(("scene", "ambient", "color"), "ambient light", "L_a0", _RADIANCE, "RGB"),
             Input(("scene", "ambient", "range"), "ambient range", "AO distance", f"{_LENGTH} or inf", word="inf"),

@@ -31,7 +31,7 @@ def describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, 
         "objects": [thing.name for thing in scene.objects],
         "settings": {
             "triangles": sum(len(thing.mesh.faces) for thing in scene.objects),
-            "ambient light": list(scene.ambient.color),
+            "ambient light": "the sky" if scene.ambient.source == "sky" else list(scene.ambient.color),
             "ambient occlusion range": scene.ambient.range if math.isfinite(scene.ambient.range) else "infinite",
             **{
                 f"{kind} lights": count

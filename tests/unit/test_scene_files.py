@@ -137,6 +137,14 @@ BAD = {
         GOOD + '[[lights]]\nkind = "sun"\ndirection = [0, 0, -1]\nirradiance = [1, 1, 1]\nangle = 181\n',
         ["lights[0]", "angle = 181.0", "[0.001, 180]"],
     ),
+    "color of a sky's ambient light": (
+        GOOD + '[ambient]\nsource = "sky"\ncolor = [0.1, 0.1, 0.1]\n',
+        ["ambient", "color = (0.1, 0.1, 0.1)", "none with source = 'sky'"],
+    ),
+    "source of ambient light": (
+        GOOD + '[ambient]\nsource = "sun"\n',
+        ["ambient.source = 'sun'", "'constant' or 'sky'"],
+    ),
     "camera in a light": (
         GOOD + '[[lights]]\nkind = "sphere"\ncenter = [0, -3, 0]\nradius = 1.5\nradiance = [1, 1, 1]\n',
         ["lights[0]", "radius = 1.5", "the camera at (0.0, -3.0, 1.0) is outside of"],

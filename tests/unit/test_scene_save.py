@@ -71,6 +71,7 @@ SCENES = {
             SphereLight((0.1, 0.2, 7.0), 0.125, (3.0, 2.0, 1.0)),
         ),
     ),
+    "sky's light": attrs.evolve(load("two_cubes"), ambient=Ambient(source="sky", range=3.0)),
     "empty": Scene("empty", Camera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
     "constant sky": analytic.furnace(roughness=0.3, mu_o=0.5),
 }

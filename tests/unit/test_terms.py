@@ -22,7 +22,16 @@ from termwise.reports.jobs import cells
 from termwise.scenes import reads, terms
 from termwise.scenes.limits import Limit, correct, physical
 from termwise.scenes.load import load
-from termwise.scenes.model import DirectionalLight, Material, PointLight, Scene, SphereLight, SpotLight, SunLight
+from termwise.scenes.model import (
+    Ambient,
+    DirectionalLight,
+    Material,
+    PointLight,
+    Scene,
+    SphereLight,
+    SpotLight,
+    SunLight,
+)
 from termwise.scenes.terms import TABLE, TERMS, total
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -176,6 +185,8 @@ TOUCHED = [
     ("toggles.lighting", False, PAPER, "ambient direct specular", "direct specular"),
     ("toggles.ambient_occlusion", False, {}, "ambient specular", None),
     ("ambient.range", 0.5, {}, "ambient specular", None),
+    ("ambient", Ambient(source="sky"), {}, "ambient specular", None),
+    ("sky.radius", 50.0, {"ambient": Ambient(source="sky")}, "ambient specular background", None),
     ("sky.color", (0.5, 0.5, 0.5), {}, "specular background", None),
     ("photons.count", 7, {}, "direct specular", ""),
     ("photons.count", 7, {"scope": "first-hit"}, "", ""),
