@@ -100,6 +100,7 @@ WIDE_SUN = Case("wide sun lights", "direct", "path", samples=256)
 SUN_PHOTONS = Case("wide sun lights", "direct", "photon-map", samples=16)
 SPHERE = Case("sphere lights", "direct", "path", samples=256)
 SPHERE_PHOTONS = Case("sphere lights", "direct", "photon-map", samples=16)
+SKYLIT = Case("skylit two_cubes", "ambient", "cosine", samples=64)
 ALL_LIGHTS = Case("lights", "direct", "path", samples=256)
 
 _AMBIENT = "renderer/terms/ambient.py"
@@ -692,6 +693,20 @@ PLANTS = (
         _LIGHTS,
         "POINT, FACE, SPOT, DIRECTIONAL, SUN, SPHERE = range(len(KINDS))",
         "POINT, FACE, SPOT, SUN, DIRECTIONAL, SPHERE = range(len(KINDS))",
+    ),
+    Plant(
+        "sky's light: drawn by the map without its Jacobian",
+        SKYLIT,
+        "renderer/sky_light.py",
+        "* distance * distance / (sky.radius * half)",
+        "* 1.0",
+    ),
+    Plant(
+        "sky's light: half of the directions not weighed",
+        SKYLIT,
+        "renderer/sky_light.py",
+        "density = 0.5 * (cosine + density_of_sky(scene, sky_map, origin, direction))",
+        "density = cosine",
     ),
     # Sky and camera.
     Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),

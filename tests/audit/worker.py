@@ -16,7 +16,7 @@ import numpy as np
 from termwise import renderer
 from termwise.renderer import Engine, find
 from termwise.scenes.load import load
-from termwise.scenes.model import Mesh, Object, PointLight, Scene, Sky
+from termwise.scenes.model import Ambient, Mesh, Object, PointLight, Scene, Sky
 
 _KEPT_BYTES = 1 << 26
 
@@ -90,6 +90,7 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "plain": lambda scene: attrs.evolve(scene, sky=Sky((0.5, 0.6, 0.8))),
     "panorama": lambda scene: attrs.evolve(scene, sky=attrs.evolve(scene.sky, projection="lat-long", radius=math.inf)),
     "shadowed": lambda scene: attrs.evolve(scene, shadows="paper"),
+    "skylit": lambda scene: attrs.evolve(scene, ambient=Ambient(source="sky")),
     "bright": lambda scene: attrs.evolve(scene, irradiance="E"),
     "drawn": lambda scene: attrs.evolve(scene, draw_lights=True),
     "sharp": lambda scene: attrs.evolve(scene, photons=attrs.evolve(scene.photons, kernel="epanechnikov")),
@@ -105,8 +106,8 @@ class Case:
     scene : a library scene, before its name words of what is changed: `glossy`, `metal` and `faint` are lobes of all
         surfaces, `turned`: the first object's faces look the other way, `smooth`: vertex normals, `lamps`: more
         lights, `spot`, `directional`, `sun`, `sphere`: of all lights those alone, `wide`: a wide sun, `plain` and
-        `panorama`: another sky, `shadowed` and `bright`: choices of the paper, `drawn`: lights are seen, `sharp`:
-        another kernel of photons.
+        `panorama`: another sky, `skylit`: the sky is the ambient light, `shadowed` and `bright`: choices of the paper,
+        `drawn`: lights are seen, `sharp`: another kernel of photons.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.
