@@ -22,7 +22,7 @@ from termwise.reports.engines.engine import Engine
 from termwise.scenes import limits
 from termwise.scenes.exchange import neutral
 from termwise.scenes.limits import Limit
-from termwise.scenes.model import BLACK, BLACK_SURFACE, Ambient, Object, Scene, Scope, Sky
+from termwise.scenes.model import BLACK, BLACK_SURFACE, Ambient, Object, PointLight, Scene, Scope, Sky
 from termwise.scenes.terms import TABLE
 
 TOTAL = "total"
@@ -136,7 +136,8 @@ def total(scene: Scene) -> Row:
 
 def _ambient(scene: Scene) -> Row:
     things = [attrs.evolve(each, material=each.surface, emission=BLACK) for each in scene.objects]
-    under = attrs.evolve(_diffuse(scene, things), lights=(), sky=Sky(scene.ambient.color))
+    light = scene.sky if scene.ambient.source == "sky" else Sky(scene.ambient.color)
+    under = attrs.evolve(_diffuse(scene, things), lights=(), ambient=Ambient(), sky=light)
     absent = TABLE["ambient"].absent(scene) or _odd(scene)
     if absent is None and not math.isinf(scene.occlusion_range):
         absent = f"its range, {scene.occlusion_range:g}, is none of light: only an infinite one is"
@@ -180,6 +181,9 @@ def _odd(scene: Scene) -> str | None:
     for name, usual in choices:
         if (value := getattr(scene, name)) != usual:
             return f"it has {name} = {value!r}, which is no light transport"
+    for light in scene.lights:
+        if not isinstance(light, PointLight):
+            return f"it has a light of the kind {light.kind!r}, which files for other renderers do not say"
     return None if scene.camera.pixel == "jitter" else f"it has camera.pixel = {scene.camera.pixel!r}, no box filter"
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import attrs
 
 from termwise.scenes.images import openexr
-from termwise.scenes.model import Object, Scene, Sky
+from termwise.scenes.model import Object, PointLight, Scene, Sky, SphereLight, shines
 from termwise.scenes.store import write_atomically
 
 FORMAT, VERSION = "termwise-neutral", 1
@@ -72,7 +72,7 @@ def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
         "lights": [
             {"type": "point", "position": list(light.position), "intensity": list(light.intensity)}
             for light in scene.lights
-            if lit and any(light.intensity)
+            if lit and isinstance(light, PointLight) and shines(light)
         ],
         "sky": _sky(scene.sky, sky_file),
     }
@@ -105,8 +105,15 @@ def _sky(sky: Sky, file: str) -> dict[str, Any] | None:
 def left_out(scene: Scene) -> list[str]:
     """What a scene says and full light transport, as other renderers compute it, does not: field, value and why."""
     lamps = [thing.name for thing in scene.objects if thing.emits] if scene.has_lights else []
+    others = {
+        f"lights[{number}]": light
+        for number, light in enumerate(scene.lights)
+        if not isinstance(light, PointLight) and (isinstance(light, SphereLight) or scene.has_lights)
+    }
     found = [
+        *((True, name, light, "it has points, and objects that shine, alone") for name, light in others.items()),
         (any(scene.ambient.color), "ambient", scene.ambient.color, "the paper's ambient light is no light transport"),
+        (scene.ambient.source == "sky", "ambient.source", "sky", "the sky lights all surfaces, and they each other"),
         (bool(lamps) and not scene.draw_lights, "draw_lights", False, f"the camera sees {', '.join(lamps)} shine"),
         (scene.scope == "first-hit", "scope", scene.scope, "light scatters at all surfaces"),
         (scene.shadows == "paper", "shadows", scene.shadows, "visibility alone decides"),

@@ -10,9 +10,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from termwise.scenes.exchange.neutral import SCHEMA, diffuse, write_neutral
+from termwise.reports.engines import asked
+from termwise.scenes.exchange.neutral import SCHEMA, describe, diffuse, left_out, write_neutral
 from termwise.scenes.load import library
-from termwise.scenes.model import Camera, Scene, Sky, Toggles
+from termwise.scenes.model import Ambient, Camera, Scene, Sky, Toggles
 from tests.scenes import small
 
 
@@ -163,3 +164,18 @@ def test_a_file_or_a_folder_is_named(tmp_path: Path):
     assert write_neutral(scene, tmp_path / "mine.json") == tmp_path / "mine.json"
     assert (tmp_path / "mine.sky.exr").exists()
     assert sorted(each.name for each in (tmp_path / "new").iterdir()) == ["two_cubes.json", "two_cubes.sky.exr"]
+
+
+def test_lights_that_it_has_no_word_for_are_named():
+    """All but points; a sphere that does not shine too, for it hides things. Engines are not asked for such a scene."""
+    scene = small("lights")
+    described = describe(scene)
+    assert [light["type"] for light in described["lights"]] == ["point"]
+    names = ("lights[1] = SphereLight", "lights[2] = SpotLight", "lights[3] = DirectionalLight", "lights[4] = SunLight")
+    assert [line.partition("(")[0] for line in described["left_out"] if line.startswith("lights")] == list(names)
+    dark = attrs.evolve(scene, toggles=attrs.evolve(scene.toggles, lighting=False))
+    assert [line.partition("(")[0] for line in left_out(dark) if line.startswith("lights")] == [names[0]]
+    absent = {row.absent for row in asked.rows(scene)}
+    assert absent == {"it has a light of the kind 'sphere', which files for other renderers do not say"}
+    points = attrs.evolve(scene, lights=scene.lights[:1], ambient=Ambient(source="sky"))
+    assert not [line for line in left_out(points) if line.startswith("lights")]
