@@ -15,7 +15,7 @@ from termwise.scenes.load import load
 from termwise.scenes.save import save
 from termwise.scenes.terms import TERMS
 
-CUBES, BOX, MONKEY = (State(load(name)) for name in ("two_cubes", "cornell_box", "monkey"))
+CUBES, BOX, MONKEY, LIGHTS = (State(load(name)) for name in ("two_cubes", "cornell_box", "monkey", "lights"))
 GROUND = ("scene", "objects", 0, "material")
 
 # What is changed, to what, and the terms that have to be rendered anew.
@@ -37,6 +37,12 @@ CHANGES = [
     (BOX, ("scene", "photons", "count"), 1000, ()),
     (MONKEY, ("scene", "lights", 0, "position", 2), 3.0, ("direct", "specular")),
     (MONKEY, ("scene", "sky", "color", 0), 0.1, ("specular", "background")),
+    (LIGHTS, ("scene", "lights", 1, "radius"), 0.2, TERMS),
+    (LIGHTS, ("scene", "lights", 1, "radiance", 0), 9.0, ("direct", "specular")),
+    (LIGHTS, ("scene", "lights", 2, "target", 0), 0.5, ("direct", "specular")),
+    (LIGHTS, ("scene", "lights", 2, "beam"), None, ("direct", "specular")),
+    (LIGHTS, ("scene", "lights", 3, "direction", 0), 0.1, ("direct", "specular")),
+    (LIGHTS, ("scene", "lights", 4, "angle"), 20.0, ("direct", "specular")),
 ]  # fmt: skip
 
 
@@ -73,7 +79,7 @@ def leaves(thing, path):
         yield path
 
 
-@pytest.mark.parametrize("name", ["two_cubes", "cornell_box", "monkey"])
+@pytest.mark.parametrize("name", ["two_cubes", "cornell_box", "monkey", "lights"])
 def test_every_field_of_a_scene_has_an_input(name):
     """But for names, meshes and textures, which a file gives, and what an emitter or another sky would not show."""
     state = State(load(name))
