@@ -6,7 +6,18 @@ import attrs
 import numpy as np
 
 from termwise.scenes.load import load
-from termwise.scenes.model import Material, Mesh, Object, Scene
+from termwise.scenes.model import (
+    LIGHTS,
+    DirectionalLight,
+    Light,
+    Material,
+    Mesh,
+    Object,
+    Scene,
+    SphereLight,
+    SpotLight,
+    SunLight,
+)
 
 FLOOR = """
 resolution = [12, 9]
@@ -35,6 +46,23 @@ intensity = [3, 3, 3]
 def small(name: str, width: int = 16, height: int | None = None, **changes: Any) -> Scene:
     """A scene of the library, so many pixels wide and high (a square without a height)."""
     return attrs.evolve(load(name), resolution=(width, height or width), **changes)
+
+
+def of_every_kind(*lights: Light) -> tuple[Light, ...]:
+    """The lights, and one of each other kind that sends nothing to the upper side of z = 0, nor hides anything there.
+
+    Kernels are compiled for the kinds that a scene has: so those of all tests are the same, and the library's.
+    """
+    white = (1.0, 1.0, 1.0)
+    below = (
+        SpotLight((0.0, 0.0, -5.0), (0.0, 0.0, -6.0), white),
+        DirectionalLight((0.0, 0.0, 1.0), white),
+        SunLight((0.0, 0.0, 1.0), white),
+        SphereLight((0.0, 0.0, -0.3), 0.1, white),
+    )
+    there = {light.kind for light in lights}
+    assert {light.kind for light in below} == {*LIGHTS} - {"point"}
+    return (*lights, *(light for light in below if light.kind not in there))
 
 
 def box(name: str, low: tuple[float, float, float], side: float = 1.0) -> Object:

@@ -35,7 +35,7 @@ from termwise.scenes.model import (
     SpotLight,
     SunLight,
 )
-from tests.scenes import box
+from tests.scenes import box, of_every_kind
 
 GREY = Material((0.5, 0.5, 0.5))
 LIGHTS = {
@@ -62,6 +62,7 @@ def apart(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
 
 
 def images_of(scene: Scene, variant: str, samples: int) -> np.ndarray:
+    scene = attrs.evolve(scene, lights=of_every_kind(*scene.lights))
     with Engine(scene) as engine:
         return np.array(
             [
