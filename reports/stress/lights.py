@@ -17,11 +17,12 @@ import numpy as np
 from scipy import stats
 
 from termwise.renderer.arrays import SceneArrays, from_scene
-from termwise.renderer.lights import directional, sphere, spot, sun
+from termwise.renderer.jit import kernel
+from termwise.renderer.lights import DIRECTIONAL, KINDS, SPHERE, SPOT, SUN, directional, sphere, spot, sun
 from termwise.renderer.lights.distant import ball_of, before, out_of
 from termwise.renderer.spheres import Spheres, distance_to
 from termwise.renderer.surface import Surface
-from termwise.renderer.vector import Vec3
+from termwise.renderer.vector import Vec3, vec3
 from termwise.reports.stress.row import Row
 from termwise.scenes.analytic import plate
 from termwise.scenes.model import Camera, DirectionalLight, Scene, SphereLight, SpotLight, SunLight, Vector
@@ -31,7 +32,6 @@ _SPOTS = ((0.0, 90.0), (89.999, 90.0), (0.0, 0.01), (20.0, 20.0), (19.999999, 20
 _SCALES = (1e-6, 1.0, 1e6)
 _OFFSETS = (0.0, 1e5)
 _SUNS = (1e-3, 0.533, 60.0, 180.0)
-_UP = Vec3(0.0, 0.0, 1.0)
 
 
 @functools.lru_cache(maxsize=4)
@@ -51,8 +51,46 @@ _SUN = SunLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0))
 _DOWN = (0.0, 0.0, -1.0)
 
 
-def _at(x: float, y: float, z: float) -> Surface:
-    return Surface(Vec3(x, y, z), _UP, _UP, 0, 0, 1.0, 0.0, 0.0)
+@kernel
+def _sample(scene: SceneArrays, kind: int, points: np.ndarray, numbers: np.ndarray, out: np.ndarray) -> None:
+    """E (N,) of samples of the first light of a kind, at points (N, 3) whose normal is up."""
+    up = Vec3(0.0, 0.0, 1.0)
+    for i in range(len(points)):
+        surface = Surface(vec3(points, i), up, up, 0, 0, 1.0, 0.0, 0.0)
+        u, v = numbers[i, 0], numbers[i, 1]
+        if kind == SPOT:
+            irradiance, _, _ = spot.sample(scene, 0, 1.0, surface, u, v)
+        elif kind == DIRECTIONAL:
+            irradiance, _, _ = directional.sample(scene, 0, 1.0, surface, u, v)
+        elif kind == SUN:
+            irradiance, _, _ = sun.sample(scene, 0, 1.0, surface, u, v)
+        else:
+            irradiance, _, _ = sphere.sample(scene, 0, 1.0, surface, u, v)
+        out[i] = math.pi * irradiance.x
+
+
+@kernel
+def _emit(scene: SceneArrays, kind: int, numbers: np.ndarray, out: np.ndarray) -> None:
+    """Flux (N,) of photons of the first light of a kind."""
+    for i in range(len(numbers)):
+        place, way = (numbers[i, 0], numbers[i, 1]), (numbers[i, 2], numbers[i, 3])
+        if kind == SPOT:
+            _, _, flux, _ = spot.emit(scene, 0, 1.0, False, place, way)
+        elif kind == DIRECTIONAL:
+            _, _, flux, _ = directional.emit(scene, 0, 1.0, False, place, way)
+        elif kind == SUN:
+            _, _, flux, _ = sun.emit(scene, 0, 1.0, False, place, way)
+        else:
+            _, _, flux, _ = sphere.emit(scene, 0, 1.0, False, place, way)
+        out[i] = flux.x
+
+
+def _irradiance(arrays: SceneArrays, kind: int, points: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """E (N,) of samples of a kind."""
+    points, numbers = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(numbers, np.float64)
+    out = np.zeros(len(points))
+    _sample(arrays, kind, points, numbers, out)
+    return out
 
 
 def spots(count: int) -> Iterator[Row]:
@@ -66,15 +104,14 @@ def spots(count: int) -> Iterator[Row]:
                 inner, outer = map(np.longdouble, light.angles)
                 share = np.linspace(0.0, 1.25, 26)
                 x = scale * np.tan(np.minimum(math.atan(0.25) + share * min(light.angles[1], 1.0), 1.5))
-                found = [
-                    math.pi * spot.sample(arrays, 0, 1.0, _at(each, 0.0, 0.0), 0.0, 0.0)[0].x for each in x.tolist()
-                ]
+                points = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
+                found = _irradiance(arrays, SPOT, points, np.zeros((len(x), 2)))
                 along, height = x.astype(np.longdouble), np.longdouble(scale)
                 away = np.abs(np.arctan2(along, height) - np.arctan2(np.longdouble(0.25) * height, height))
                 width = outer - inner
                 slope = np.clip((outer - away) / width, 0.0, 1.0) if width > 0 else (away < outer) * np.longdouble(1.0)
                 right = slope * height / np.sqrt(along * along + height * height) ** 3
-                error = np.abs(np.array(found) - right) * (width if width > 0 else 1.0) * height**2
+                error = np.abs(found - right) * (width if width > 0 else 1.0) * height**2
                 # Where there is no slope, an angle that is the edge's to its rounding lies on either side of it.
                 error = error[np.abs(away - outer) > 8 * _EPS] if width == 0 else error
                 worst = float(error.max())
@@ -85,7 +122,7 @@ def spots(count: int) -> Iterator[Row]:
 
 def suns(count: int) -> Iterator[Row]:
     """Irradiance by evenly spread points, whose error falls as one over their number, as it may on a smooth disc."""
-    points = stats.qmc.Sobol(2, seed=1).random(1 << (count - 1).bit_length()).tolist()
+    points = stats.qmc.Sobol(2, seed=1).random(1 << (count - 1).bit_length())
     for angle in _SUNS:
         half = math.radians(angle) / 2.0
         radiance = 1.0 / (math.pi * math.sin(half) ** 2)
@@ -97,8 +134,7 @@ def suns(count: int) -> Iterator[Row]:
 
             def wrong(angle: float = angle, way: Vector = way, right: float = right) -> float:
                 arrays = _lit(_SPOT, SunLight(way, (1.0, 1.0, 1.0), angle), _DOWN)
-                surface = _at(0.0, 0.0, 0.0)
-                found = math.pi * np.mean([sun.sample(arrays, 0, 1.0, surface, u, v)[0].x for u, v in points])
+                found = _irradiance(arrays, SUN, np.zeros((len(points), 3)), points).mean()
                 return abs(float(found) / right - 1.0)
 
             yield Row(f"sun of {angle:g} degrees {where}", "relative error", 1.0 / len(points), wrong)
@@ -110,7 +146,7 @@ def grazing(count: int) -> Iterator[Row]:
 
         def wrong(cosine: float = cosine) -> float:
             arrays = _lit(_SPOT, _SUN, (math.sqrt(1.0 - cosine * cosine), 0.0, -cosine))
-            found = math.pi * directional.sample(arrays, 0, 1.0, _at(0.0, 0.0, 0.0), 0.0, 0.0)[0].x
+            found = _irradiance(arrays, DIRECTIONAL, np.zeros((1, 3)), np.zeros((1, 2)))[0]
             return abs(found - max(cosine, 0.0)) / max(abs(cosine), 1e-300) / _EPS
 
         yield Row(f"directional light of cosine {cosine:g}", "relative error in units of 2^-52", 4.0, wrong)
@@ -118,16 +154,15 @@ def grazing(count: int) -> Iterator[Row]:
 
 def spheres(count: int) -> Iterator[Row]:
     """Irradiance straight below a sphere, `pi L (r / d)²`."""
-    points = stats.qmc.Sobol(2, seed=1).random(1 << (count - 1).bit_length()).tolist()
+    points = stats.qmc.Sobol(2, seed=1).random(1 << (count - 1).bit_length())
     for share in (1e-8, 0.5, 1.0 - 1e-9):
         for scale in _SCALES:
 
             def wrong(share: float = share, scale: float = scale) -> float:
                 ball = SphereLight((0.0, 0.0, scale), share * scale, (1.0, 1.0, 1.0))
                 arrays = _lit(_SPOT, _SUN, _DOWN, scale, ball)
-                surface = _at(0.0, 0.0, 0.0)
-                found = np.mean([sphere.sample(arrays, 0, 1.0, surface, u, v)[0].x for u, v in points])
-                return abs(float(found) / share**2 - 1.0)
+                found = _irradiance(arrays, SPHERE, np.zeros((len(points), 3)), points).mean()
+                return abs(float(found) / (math.pi * share**2) - 1.0)
 
             yield Row(f"sphere of {share} of its distance, scale {scale:g}", "relative error", 1.0 / len(points), wrong)
 
@@ -187,17 +222,17 @@ def outside(count: int) -> Iterator[Row]:
 
 def powers(count: int) -> Iterator[Row]:
     """The mean of the photons is the power that the light is picked by."""
-    points = stats.qmc.Sobol(4, seed=1).random(1 << (count - 1).bit_length()).tolist()
+    points = stats.qmc.Sobol(4, seed=1).random(1 << (count - 1).bit_length())
     for kind in (spot, directional, sun, sphere):
         for scale in _SCALES:
 
             def wrong(kind=kind, scale: float = scale) -> float:
                 light = attrs.evolve(_SPOT, position=(0.0, 0.0, scale))
                 arrays = _lit(light, attrs.evolve(_SUN, angle=60.0), _DOWN, scale)
-                lights = arrays.emitters
-                held = {spot: lights.spots, directional: lights.directionals, sun: lights.suns, sphere: lights.spheres}
-                flux = np.mean([kind.emit(arrays, 0, 1.0, False, (a, b), (c, d))[2].x for a, b, c, d in points])
-                return abs(float(flux / kind.power(held[kind], False)[0]) - 1.0)
+                found = np.zeros(len(points))
+                _emit(arrays, KINDS.index(kind), points, found)
+                power = kind.power(getattr(arrays.emitters, f"{kind.SOURCE.kind}s"), False)[0]
+                return abs(float(found.mean() / power) - 1.0)
 
             yield Row(f"photons of {kind.SOURCE.kind}, scale {scale:g}", "relative error", 1.0 / len(points), wrong)
 
