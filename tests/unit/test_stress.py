@@ -5,6 +5,7 @@ planted in what is judged, by a patch of the name that the group calls.
 """
 
 import json
+import math
 import tempfile
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from termwise.renderer import microfacet
 from termwise.renderer.vector import Vec3
 from termwise.reports import cli, stress
 from termwise.reports.pages import stress as page
-from termwise.reports.stress import exact, garbage, intersection, photons, radiance, rounding, shading, tracers
+from termwise.reports.stress import exact, garbage, intersection, lights, photons, radiance, rounding, shading, tracers
 from termwise.reports.stress.row import Row, measure
 from termwise.scenes.analytic import plate
 from termwise.scenes.load import load
@@ -193,6 +194,25 @@ def test_a_lost_bounce_fails_the_flux_of_a_closed_box(albedo, monkeypatch):
     name = f"flux in a closed box of albedo {albedo}"
     (one,) = (each for _, each in stress.rows(("photons",), 4096) if each.name == name)
     assert not measure("photons", one, ("ours",))["passed"]
+
+
+@pytest.mark.usefixtures("_fast")
+@pytest.mark.parametrize(
+    ("name", "planted"),
+    [
+        ("spot 89.999 to 90.0 degrees, scale 1", {"_irradiance": lambda _, found: found + 1e-9}),
+        ("sun of 60 degrees overhead", {"_irradiance": lambda _, found: found / math.cos(math.radians(15.0)) ** 2}),
+        ("directional light of cosine 1e-08", {"_irradiance": lambda _, found: found.astype(np.float32).astype(float)}),
+        ("distant light, scale 1, offset 0", {"before": lambda given, found: Vec3(*given[0].center)}),
+        ("rays to a sphere from 1000 radii, scale 1", {"distance_to": lambda _, found: float(np.float32(found))}),
+    ],
+)
+def test_a_planted_fault_fails_a_row_of_lights(name, planted, monkeypatch):
+    """Numbers of other formulas, or of fewer digits, in the place of ours."""
+    for function, fault in planted.items():
+        sound = getattr(lights, function)
+        monkeypatch.setattr(lights, function, lambda *given, sound=sound, fault=fault: fault(given, sound(*given)))
+    assert fails("lights", name)
 
 
 def grazing() -> Scene:
