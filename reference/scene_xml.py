@@ -14,7 +14,7 @@ import numpy as np
 
 from termwise.reference import backend, translate
 from termwise.scenes.exchange import panorama
-from termwise.scenes.exchange.neutral import describe
+from termwise.scenes.exchange.neutral import describe, reach
 from termwise.scenes.images import openexr
 from termwise.scenes.model import Object, Scene
 from termwise.scenes.store import write_atomically
@@ -55,7 +55,7 @@ def write(scene: Scene, path: Path) -> list[str]:
     dictionary = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": -1, "rr_depth": 8},
-        "sensor": _sensor(mi, described, _size(scene)),
+        "sensor": _sensor(mi, described, reach(scene)),
         **shapes,
         **lights,
         **_sky(mi, described["sky"], f"{files.name}/sky.exr"),
@@ -97,12 +97,6 @@ def _names(names: list[str]) -> list[str]:
 
 def _renamed(objects: tuple[Object, ...], names: list[str]) -> list[tuple[Object, str]]:
     return [(thing, name) for thing, name in zip(objects, names, strict=True) if thing.name != name]
-
-
-def _size(scene: Scene) -> float:
-    """Of the ball around the camera that holds all geometry; 1 where there is none."""
-    low, high = scene.bounds()
-    return float(np.linalg.norm(np.maximum(*np.abs(np.subtract([low, high], scene.camera.position))))) or 1.0
 
 
 def _sensor(mi: Any, described: dict[str, Any], size: float) -> dict[str, Any]:

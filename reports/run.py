@@ -52,7 +52,7 @@ def digest(study: Study, scenes: tuple[Scene, ...], variant: str) -> str:
     sources = sources_digest(*(ROOT / name for name in ("renderer", "reference", "scenes", "reports")))
     settings = (
         attrs.asdict(study),
-        [(s.name, s.exposure, s.digest()) for s in scenes],
+        [(s.name, s.exposure, s.substitutions, s.digest()) for s in scenes],
         variant,
         sources,
         versions(),
@@ -96,7 +96,8 @@ def measure(
     folder : made if missing.
     name : the study's name, for the report.
     report : called with (what, done, of all) as replicates come in.
-    arguments : what a command names them by: {"study": its name or file, "scenes": {name: name or file}}.
+    arguments : what a command names them by: {"study": its name or file, "scenes": {name: name or file}, "approximate":
+        as in `scenes.load.load`}.
     executor : does the jobs; by default this process does.
     """
     desk = Desk(study, cache_folder(), executor=executor, report=report)

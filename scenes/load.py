@@ -1,4 +1,4 @@
-"""`load(name or path) -> Scene`: the library's scenes and the user's TOML files.
+"""`load(name or path) -> Scene`: the library's scenes, the user's TOML files, and files of other renderers.
 
 A scene file holds the fields of `Scene`, its tables `camera`, `ambient`, `sky`, `photons` and `toggles`, and the
 arrays of tables `objects` and `lights`. Every object names a `shape` (`rectangle`, `box`, `sphere`, `mesh`) and is
@@ -7,6 +7,7 @@ but for `point`.
 Errors are one line: file, field, value, and what is allowed.
 """
 
+import importlib
 import math
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -18,6 +19,15 @@ from termwise.scenes import images, meshes, model, strict
 from termwise.scenes.strict import FileError
 
 LIBRARY = Path(__file__).parent / "library"
+READERS = {
+    ".glb": "termwise.scenes.exchange.from_gltf",
+    ".obj": "termwise.scenes.exchange.from_obj",
+    ".xml": "termwise.reference.from_xml",
+}
+"""Modules that read other renderers' scenes, by the end of the name: each has `read(path, approximate=)`.
+
+By name, for this folder knows no Mitsuba, which reads its own XML.
+"""
 
 
 def library() -> tuple[str, ...]:
@@ -25,23 +35,50 @@ def library() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in LIBRARY.glob("*.toml")))
 
 
-def load(scene: str | Path | model.Scene) -> model.Scene:
+def load(scene: str | Path | model.Scene, *, approximate: bool = False) -> model.Scene:
     """Load a scene of the library by name, or any scene file by path; a scene is given back as it is.
+
+    Parameters
+    ----------
+    scene : a name of the library, or the path of a file: TOML, Mitsuba's XML, GLB, OBJ.
+    approximate : whether the nearest thing that the model has may stand for what it cannot say of another renderer's
+        scene; the scene's `substitutions` list each.
 
     Raises
     ------
-    FileError : a missing or malformed file, an unknown key, a value out of range, a mesh that is none.
+    FileError : a missing or malformed file, an unknown key, a value out of range, a mesh that is none; something that
+        the model cannot say.
     """
     if isinstance(scene, model.Scene):
         return scene
     path = LIBRARY / f"{scene}.toml" if str(scene) in library() else Path(scene)
+    if path.suffix.lower() in READERS:
+        return _foreign(path, approximate)
     if path.suffix != ".toml":
-        raise FileError(f"{scene}: no such scene: allowed are {', '.join(library())} or a path that ends in .toml")
+        raise FileError(
+            f"{scene}: no such scene: allowed are {', '.join(library())} or a path that ends in "
+            f".toml, {', '.join([*READERS][:-1])} or {[*READERS][-1]}"
+        )
     description = strict.read(path, _SceneFile, _converter)
     try:
         return description.build(path)
     except ValueError as error:
         raise FileError(f"{path}: {error}") from None
+
+
+def _foreign(path: Path, approximate: bool) -> model.Scene:
+    """A scene of another renderer; every fault of its file is one line."""
+    if not path.is_file():
+        raise FileError(f"{path}: cannot be read: no such file")
+    reader = importlib.import_module(READERS[path.suffix.lower()])
+    try:
+        return reader.read(path, approximate=approximate)
+    except FileError:
+        raise
+    except ValueError as error:
+        raise FileError(f"{path}: {error}") from None
+    except OSError as error:
+        raise FileError(f"{error.filename or path}: cannot be read: {error.strerror or error}") from None
 
 
 @attrs.frozen(kw_only=True)
@@ -226,6 +263,7 @@ class _SceneFile:
     normals: Literal["viewer", "face"] = "viewer"
     intersection: Literal["watertight", "paper"] = "watertight"
     draw_lights: bool = False
+    substitutions: tuple[str, ...] = ()
 
     def build(self, path: Path) -> model.Scene:
         fields = attrs.asdict(self, recurse=False)

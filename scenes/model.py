@@ -537,6 +537,9 @@ class Scene:
       whichever side is seen: from behind, ambient and direct are those of the front, and the specular lobe is 0 (its
       masking is, where the view is below the surface). Photons and smooth meshes need the former.
     - `intersection`: "watertight", or "paper": a test of angles with absolute epsilons of 1e-5 against every face.
+
+    `substitutions` says of a scene that was read from another renderer's file what stands for what the model cannot
+    say, and what was assumed: no image depends on it.
     """
 
     name: str
@@ -560,6 +563,7 @@ class Scene:
     normals: Literal["viewer", "face"] = "viewer"
     intersection: Literal["watertight", "paper"] = "watertight"
     draw_lights: bool = False
+    substitutions: tuple[str, ...] = ()
 
     def __attrs_post_init__(self) -> None:
         """Refuse two objects of one name, for verdicts are reported by object; and faces that are one in two looks."""
@@ -685,7 +689,7 @@ class Scene:
         highs += [np.add(sphere.center, sphere.radius) for sphere in self.spheres]
         return np.min(lows, axis=0), np.max(highs, axis=0)
 
-    def digest(self, *, without: tuple[str, ...] = ("name", "exposure")) -> str:
+    def digest(self, *, without: tuple[str, ...] = ("name", "exposure", "substitutions")) -> str:
         """sha256 of the content, fields named in `without` left out: equal scenes share cached results."""
         state = hashlib.sha256()
         for field in attrs.fields(Scene):

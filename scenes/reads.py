@@ -14,7 +14,7 @@ import attrs
 
 from termwise.scenes.model import Scene, absorb
 
-UNREAD = ("name", "exposure", "objects.name")
+UNREAD = ("name", "exposure", "objects.name", "substitutions")
 """Fields that no image depends on."""
 
 

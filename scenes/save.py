@@ -25,10 +25,17 @@ def save(scene: Scene, path: Path) -> None:
 
     Raises
     ------
-    ValueError : the name does not end in .toml, or is one that would not be read back.
+    ValueError : the name does not end in .toml, or is one that would not be read back; a mesh has normals of its own,
+        which no field of a scene file says.
     """
     if path.suffix != ".toml" or path.stem.startswith("."):
         raise ValueError(f"{path}: allowed is a name that ends in .toml")
+    for thing in scene.objects:
+        mesh = thing.mesh
+        if mesh.normals is not None and not _smooth(mesh):
+            raise ValueError(
+                f"{path}: objects: {thing.name!r}: normals are of another file: allowed are flat or smooth ones"
+            )
     files = path.with_suffix(".files")
     table: dict[str, Any] = {}
     for field in attrs.fields(Scene):
@@ -49,6 +56,12 @@ def save(scene: Scene, path: Path) -> None:
     text = tomli_w.dumps({name: value for name, value in table.items() if value != []})
     write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
     assert load(path).digest() == scene.digest(), path
+
+
+def _smooth(mesh: Mesh) -> bool:
+    """Whether shading normals are those that a scene file means by smooth."""
+    normals = Mesh.from_arrays(mesh.vertices, mesh.faces, smooth=True).normals
+    return normals is not None and mesh.normals is not None and np.array_equal(normals, mesh.normals)
 
 
 def _plain(value: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from termwise.reports.cli import terminal
-from termwise.reports.cli.terminal import Flag, Json, Resolution, SceneName
+from termwise.reports.cli.terminal import Approximate, Flag, Json, Resolution, SceneName
 from termwise.scenes.exchange import neutral
 
 Format = Literal["neutral", "mitsuba", "gltf", "pbrt", "obj"]
@@ -28,6 +28,7 @@ def export(
     to: Format,
     diffuse: Flag = False,
     resolution: Resolution = None,
+    approximate: Approximate = False,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
     json_: Json = False,
 ) -> int:
@@ -45,7 +46,7 @@ def export(
         The file, or a folder for a file of the scene's name; out/export if not given.
     """
     module = importlib.import_module(_MODULES[to])
-    described = terminal.scene(scene, resolution)
+    described = terminal.scene(scene, resolution, approximate=approximate)
     if diffuse:
         described = neutral.diffuse(described)
     path = _path(output, described.name, module.SUFFIX)

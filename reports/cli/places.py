@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from termwise.reports.cli import terminal
-from termwise.reports.cli.terminal import Integer, Json, MaybeInteger
+from termwise.reports.cli.terminal import Approximate, Integer, Json, MaybeInteger
 
 
 def inspect(
@@ -131,6 +131,7 @@ def replay(
     study: str = "standard",
     samples: MaybeInteger = None,
     seed: MaybeInteger = None,
+    approximate: Approximate = False,
     results: Path | None = None,
     json_: Json = False,
 ) -> int:
@@ -168,7 +169,7 @@ def replay(
 
     estimator = find(term, variant)
     chosen = studies.load(study)
-    subject, count = subjects.named(chosen, scene, estimator)
+    subject, count = subjects.named(chosen, scene, estimator, approximate=approximate)
     most = chosen.replicates * sequential.LOOKS[-1] * (1 if chosen.half_width is None else allotment.MOST)
     if not 0 <= replicate < most:
         allowed = f"an integer in [0, {most - 1}], those that the study {study} may have"

@@ -11,6 +11,7 @@ from rich.table import Table
 from termwise.reports import progress
 from termwise.reports.cli import terminal
 from termwise.reports.cli.terminal import (
+    Approximate,
     Backend,
     Flag,
     Integer,
@@ -37,6 +38,7 @@ def render(
     threads: Threads = None,
     resolution: Resolution = None,
     adaptive: bool = False,
+    approximate: Approximate = False,
     out: Path = Path("out"),
     quiet: Quiet = False,
     json_: Json = False,
@@ -61,7 +63,7 @@ def render(
     """
     from termwise import renderer
 
-    described = terminal.scene(scene, resolution)
+    described = terminal.scene(scene, resolution, approximate=approximate)
     terminal.check_seed(seed)
     folder = terminal.folder(out / "render")
     terms = TERMS if term is None else (term,)
@@ -110,6 +112,7 @@ def reference(
     replicates: Integer = 4,
     seed: Integer = 0,
     resolution: Resolution = None,
+    approximate: Approximate = False,
     export: Path | None = None,
     out: Path = Path("out"),
     backend: Backend = None,
@@ -137,7 +140,7 @@ def reference(
     from termwise.scenes import limits
 
     chosen = terminal.choose_backend(backend, quiet=quiet)
-    described = terminal.scene(scene, resolution)
+    described = terminal.scene(scene, resolution, approximate=approximate)
     terminal.check_seed(seed)
     if term is not None and term not in TERMS:
         raise ValueError(f"term = {term!r}: allowed are {', '.join(TERMS)}")
@@ -206,7 +209,14 @@ def _write_images(scene: Any, found: dict[str, Any], folder: Path, settings: dic
     return 0
 
 
-def plan(scene: SceneName, *, samples: Integer = 16, resolution: Resolution = None, json_: Json = False) -> int:
+def plan(
+    scene: SceneName,
+    *,
+    samples: Integer = 16,
+    resolution: Resolution = None,
+    approximate: Approximate = False,
+    json_: Json = False,
+) -> int:
     """Say what a scene needs: what runs, what is skipped, why, and how much work that saves.
 
     Parameters
@@ -219,9 +229,8 @@ def plan(scene: SceneName, *, samples: Integer = 16, resolution: Resolution = No
 
     if samples < 1:
         raise ValueError(f"samples = {samples}: allowed is at least 1")
-    steps = steps_of(
-        terminal.scene(scene, resolution), {term: find(term) for term in TERMS}, samples=samples, together=True
-    )
+    described = terminal.scene(scene, resolution, approximate=approximate)
+    steps = steps_of(described, {term: find(term) for term in TERMS}, samples=samples, together=True)
     if json_:
         found = [attrs.asdict(step) for step in steps]
         terminal.say_json({"scene": scene, "samples": samples, "steps": found})

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from termwise.reports import progress
 from termwise.reports.cli import terminal
-from termwise.reports.cli.terminal import Backend, Flag, Json, MaybeInteger, Quiet
+from termwise.reports.cli.terminal import Approximate, Backend, Flag, Json, MaybeInteger, Quiet
 from termwise.scenes.strict import FileError
 
 
@@ -30,6 +30,7 @@ def compare(
     study: str = "standard",
     budget: Annotated[float | None, Parameter(converter=_duration, n_tokens=1)] = None,
     seed: MaybeInteger = None,
+    approximate: Approximate = False,
     estimators: Path | None = None,
     workers: MaybeInteger = None,
     scheduler: str | None = None,
@@ -44,7 +45,7 @@ def compare(
     Parameters
     ----------
     scenes
-        Names of the library or paths of scene files; all scenes of the study if none.
+        Names of the library or paths of files (TOML, Mitsuba's XML, GLB, OBJ); all scenes of the study if none.
     study
         quick, standard, full, or the path of a study file.
     budget
@@ -79,7 +80,9 @@ def compare(
         chosen = attrs.evolve(chosen, budget=budget)
     if seed is not None:
         chosen = attrs.evolve(chosen, seed=seed)
-    prepared = subjects.scenes_of(chosen, scenes)
+    prepared = subjects.scenes_of(chosen, scenes, approximate=approximate)
+    for scene in prepared:
+        terminal.say_substitutions(scene)
     folder = terminal.folder(out / chosen.folder)
     try:
         results = run.finished(folder, run.digest(chosen, prepared, mitsuba))
@@ -96,7 +99,7 @@ def compare(
                     folder,
                     name=Path(study).stem,
                     report=stage("Measuring"),
-                    arguments={"study": study, "scenes": named},
+                    arguments={"study": study, "scenes": named, "approximate": approximate},
                     executor=executor,
                 )
             page.write(folder, report=stage("Pages"))

@@ -39,7 +39,9 @@ Integer = Annotated[int, _whole]
 MaybeInteger = Annotated[int | None, _whole]
 Threads = Annotated[int | None, _whole_threads]
 Names = Annotated[list[str] | None, Parameter(consume_multiple=True)]
-SceneName = Annotated[str, Parameter(help="A name of the library or the path of a scene file.")]
+SceneName = Annotated[
+    str, Parameter(help="A name of the library or the path of a file: TOML, Mitsuba's XML, GLB or OBJ.")
+]
 TermName = Annotated[
     str | None, Parameter(help="ambient, direct, specular or background; without it all of them and their sum.")
 ]
@@ -50,6 +52,10 @@ Backend = Annotated[
     Parameter(help="Mitsuba variant: llvm_ad_rgb, scalar_rgb or cuda_ad_rgb; chosen by itself if not given."),
 ]
 Flag = Annotated[bool, Parameter(negative="")]
+Approximate = Annotated[
+    bool,
+    Parameter(negative="", help="Let the nearest thing stand for what the model lacks of another renderer's scene."),
+]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="One JSON object on standard output.")]
 Quiet = Annotated[bool, Parameter(negative="", help="No progress on standard error.")]
 
@@ -74,10 +80,17 @@ def fail(message: str) -> None:
     print(f"termwise: {' '.join(message.split())}", file=sys.stderr)
 
 
-def scene(name: str, resolution: Size) -> Scene:
-    """A scene of the library or of a file, of another size if one is given."""
-    found = load(name)
+def scene(name: str, resolution: Size, *, approximate: bool = False) -> Scene:
+    """A scene of the library or of a file, of another size if one is given; what stands for something else is said."""
+    found = load(name, approximate=approximate)
+    say_substitutions(found)
     return found if resolution is None else attrs.evolve(found, resolution=resolution)
+
+
+def say_substitutions(found: Scene) -> None:
+    """Name on standard error what stands in a scene for what its file says."""
+    for line in found.substitutions:
+        messages.print(f"termwise: {found.name}: {line}", soft_wrap=True, highlight=False, markup=False)
 
 
 def check_seed(seed: int) -> None:

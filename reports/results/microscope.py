@@ -295,6 +295,7 @@ def replay_command(results: dict[str, Any], row: dict[str, Any], found: Branch) 
     x, y = found.pixel
     words = ("termwise", "replay", "--scene", scene, "--term", row["term"], "--variant", row["variant"])
     words += ("--x", x, "--y", y, "--replicate", found.replicate, "--study", study)
+    words += ("--approximate",) if arguments.get("approximate") else ()
     return shlex.join(map(str, words))
 
 

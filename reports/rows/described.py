@@ -28,6 +28,7 @@ def describe(study: Study, subject: Subject, measured: list[Cell]) -> dict[str, 
         "scope": scene.scope,
         "max_bounces": scene.max_bounces,
         "digest": scene.digest(),
+        "substitutions": list(scene.substitutions),
         "objects": [thing.name for thing in scene.objects],
         "settings": {
             "triangles": sum(len(thing.mesh.faces) for thing in scene.objects),

@@ -21,7 +21,7 @@ from termwise.scenes.terms import TABLE, TERMS, Term
 # specular verdict.
 CHAIN: Chain = "path"
 # What a setting cannot change: these say what the scene is, not how it is read.
-_FIXED = ("name", "objects", "lights", "resolution", "texture")
+_FIXED = ("name", "objects", "lights", "resolution", "texture", "substitutions")
 
 
 @attrs.frozen(eq=False)
@@ -52,11 +52,11 @@ class Subject:
         return limits.correct(term, self.unchanged.scope)
 
 
-def scenes_of(study: Study, names: tuple[str, ...] = ()) -> tuple[Scene, ...]:
-    """Scenes of a study, or those named, at the study's resolution."""
+def scenes_of(study: Study, names: tuple[str, ...] = (), *, approximate: bool = False) -> tuple[Scene, ...]:
+    """Scenes of a study, or those named, at the study's resolution; `approximate` as in `scenes.load.load`."""
     prepared = []
     for name in names or study.scenes:
-        scene = attrs.evolve(load(name), resolution=study.resolution)
+        scene = attrs.evolve(load(name, approximate=approximate), resolution=study.resolution)
         count = study.photons_of.get(scene.name, min(scene.photons.count, study.photons or scene.photons.count))
         scene = attrs.evolve(scene, photons=attrs.evolve(scene.photons, count=count))
         prepared.append(scene)
@@ -96,7 +96,7 @@ def subjects(study: Study, scenes: tuple[Scene, ...]) -> Iterator[Subject]:
                 yield _checked(Subject(scene, variants, setting.chain, setting, base))
 
 
-def named(study: Study, name: str, variant: Variant) -> tuple[Subject, int]:
+def named(study: Study, name: str, variant: Variant, *, approximate: bool = False) -> tuple[Subject, int]:
     """The subject of a study by its scene's name, or a scene by its own as the study prepares it; and the samples.
 
     Raises
@@ -110,7 +110,7 @@ def named(study: Study, name: str, variant: Variant) -> tuple[Subject, int]:
     prepared = scenes_of(study)
     if name in [f"{base.name}.{setting.name}" for setting in study.settings for base in prepared]:
         return next(each for each in subjects(study, prepared) if each.scene.name == name), count
-    (scene,) = [scene for scene in prepared if scene.name == name] or scenes_of(study, (name,))
+    (scene,) = [scene for scene in prepared if scene.name == name] or scenes_of(study, (name,), approximate=approximate)
     return Subject(scene, {variant.term: (variant,)}), count
 
 

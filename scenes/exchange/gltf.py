@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from termwise.scenes.exchange.neutral import describe
+from termwise.scenes.exchange.neutral import describe, reach
 from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
 
 SUFFIX = ".glb"
 UPRIGHT = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 """Columns of the matrix that takes (x, y, z) to (x, z, -y)."""
+NEAR = 1e-4
+"""Of the way to the farthest vertex: a plane that cuts nothing off, and that glTF wants."""
 _FLOAT, _UNSIGNED = 5126, 5125
 
 
@@ -49,7 +51,7 @@ def write(scene: Scene, path: Path) -> list[str]:
                 "perspective": {
                     "yfov": 2.0 * math.atan(tangent * height / width),
                     "aspectRatio": width / height,
-                    "znear": scene.camera.near,
+                    "znear": NEAR * reach(scene),
                 },
             }
         ],

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import attrs
+import numpy as np
 
 from termwise.scenes.images import openexr
 from termwise.scenes.model import Object, PointLight, Scene, Sky, SphereLight, shines
@@ -100,6 +101,12 @@ def _sky(sky: Sky, file: str) -> dict[str, Any] | None:
         return {"type": "constant", "radiance": list(sky.color)}
     radius = sky.radius if math.isfinite(sky.radius) else None
     return {"type": "image", "file": file, "projection": sky.projection, "center": list(sky.center), "radius": radius}
+
+
+def reach(scene: Scene) -> float:
+    """Radius of a ball around the camera that holds all geometry; 1 where there is none."""
+    low, high = np.abs(np.subtract(scene.bounds(), scene.camera.position))
+    return float(np.linalg.norm(np.maximum(low, high))) or 1.0
 
 
 def left_out(scene: Scene) -> list[str]:

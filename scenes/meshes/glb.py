@@ -6,7 +6,9 @@ with a skin, the vertex's mean of its joints'. Points and lines make no surface.
 """
 
 import base64
+import contextlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -14,6 +16,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from termwise.scenes.meshes.polygons import MeshError, strip, triangulate
+from termwise.scenes.strict import FileError
 
 # Of what a file may require, all that changes no shape; the readers of the rest would draw something else.
 _SHAPELESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "EXT_texture_", "EXT_lights_")
@@ -25,11 +28,18 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) float64 and triangles (F, 3) int64, see `scenes.meshes.read`."""
+    with described(path) as file:
+        return file.triangles()
+
+
+@contextlib.contextmanager
+def described(path: Path) -> Iterator["File"]:
+    """The contents of a file; what is read of it in this context, and is not glTF, is a MeshError."""
     description, chunk = _chunks(path.read_bytes())
     try:
-        return _File(description, chunk, path.parent).triangles()
+        yield File(description, chunk, path.parent)
     except (KeyError, IndexError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        if isinstance(error, MeshError):
+        if isinstance(error, MeshError | FileError):
             raise
         reason = f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
         raise MeshError(f"is not valid glTF: {reason}") from None
@@ -57,7 +67,7 @@ def _chunks(data: bytes) -> tuple[Any, bytes]:
         raise MeshError(f"its description is not JSON: {error}") from None
 
 
-class _File:
+class File:
     """A description, whose faults are whatever Python raises where it does not hold what glTF says."""
 
     def __init__(self, description: Any, chunk: bytes, folder: Path) -> None:
@@ -71,11 +81,19 @@ class _File:
     def triangles(self) -> tuple[np.ndarray, np.ndarray]:
         """All triangles of the scene, placed."""
         vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
-        for number in self._scene():
-            node = self._item("nodes", number)
+        for _, _, points, triangles in self.primitives():
+            vertices.append(points)
+            faces.append(triangles + count)
+            count += len(points)
+        return np.concatenate(vertices), np.concatenate(faces)
+
+    def primitives(self) -> Iterator[tuple[int, Any, np.ndarray, np.ndarray]]:
+        """Number of the node, description, points (V, 3) and triangles (F, 3) of each primitive, placed."""
+        for number in self.scene():
+            node = self.item("nodes", number)
             if "mesh" not in node:
                 continue
-            mesh = self._item("meshes", node["mesh"])
+            mesh = self.item("meshes", node["mesh"])
             weights = node.get("weights", mesh.get("weights", []))
             for primitive in mesh["primitives"]:
                 if primitive.get("mode", _TRIANGLES) < _TRIANGLES or "POSITION" not in primitive["attributes"]:
@@ -83,41 +101,38 @@ class _File:
                 points = self._points(primitive, weights)
                 triangles = self._faces(primitive, points)
                 if "skin" in node:
-                    points = self._skinned(points, primitive["attributes"], self._item("skins", node["skin"]))
+                    points = self._skinned(points, primitive["attributes"], self.item("skins", node["skin"]))
                 else:
-                    world = self._world(number)
+                    world = self.world(number)
                     points = points @ world[:3, :3].T + world[:3, 3]
                     if np.linalg.det(world[:3, :3]) < 0:
                         triangles = triangles[:, [0, 2, 1]]
-                vertices.append(points)
-                faces.append(triangles + count)
-                count += len(points)
-        return np.concatenate(vertices), np.concatenate(faces)
+                yield number, primitive, points, triangles
 
-    def _item(self, kind: str, number: int) -> Any:
+    def item(self, kind: str, number: int) -> Any:
         """What has a number in one of the lists: Python would take -1 for the last."""
         if number < 0:
             raise IndexError(f"{kind} has no {number}")
         return self.description[kind][number]
 
-    def _scene(self) -> list[int]:
+    def scene(self) -> list[int]:
         """Nodes of the default scene, or of the first; of a file without scenes, all."""
         scenes = self.description.get("scenes", [])
         roots = range(len(self.nodes))
         if scenes:
-            roots = self._item("scenes", self.description.get("scene", 0)).get("nodes", [])
+            roots = self.item("scenes", self.description.get("scene", 0)).get("nodes", [])
         left, found = list(roots)[::-1], []
         while left:
             found.append(left.pop())
             if scenes:
-                left += self._item("nodes", found[-1]).get("children", [])[::-1]
+                left += self.item("nodes", found[-1]).get("children", [])[::-1]
             if len(found) > len(self.nodes):
                 raise MeshError("a node is its own descendant, or has two parents: allowed are trees")
         return found
 
-    def _world(self, number: int) -> np.ndarray:
+    def world(self, number: int) -> np.ndarray:
         """Matrix (4, 4) from a node to the scene."""
-        world = _local(self._item("nodes", number))
+        world = _local(self.item("nodes", number))
         for _ in self.nodes:
             if number not in self.parents:
                 return world
@@ -127,17 +142,17 @@ class _File:
 
     def _points(self, primitive: Any, weights: list[float]) -> np.ndarray:
         """Positions (V, 3) float64, morphed."""
-        points = self._accessor(primitive["attributes"]["POSITION"])
+        points = self.accessor(primitive["attributes"]["POSITION"])
         for weight, target in zip(weights, primitive.get("targets", []), strict=False):
             if weight and "POSITION" in target:
-                points = points + weight * self._accessor(target["POSITION"])
+                points = points + weight * self.accessor(target["POSITION"])
         return points
 
     def _faces(self, primitive: Any, points: np.ndarray) -> np.ndarray:
         """Triangles (F, 3) of a primitive, in the order of its mode."""
         corners = np.arange(len(points))
         if "indices" in primitive:
-            corners = self._accessor(primitive["indices"])[:, 0].astype(np.int64)
+            corners = self.accessor(primitive["indices"])[:, 0].astype(np.int64)
         mode = primitive.get("mode", _TRIANGLES)
         if mode == _TRIANGLES:
             if len(corners) % 3:
@@ -153,23 +168,23 @@ class _File:
 
     def _skinned(self, points: np.ndarray, attributes: Any, skin: Any) -> np.ndarray:
         """Points (V, 3) moved by the mean of the joints' matrices."""
-        joints = np.array([self._world(joint) for joint in skin["joints"]])
+        joints = np.array([self.world(joint) for joint in skin["joints"]])
         if "inverseBindMatrices" in skin:
-            stored = self._accessor(skin["inverseBindMatrices"])
+            stored = self.accessor(skin["inverseBindMatrices"])
             joints = joints @ stored.reshape(-1, 4, 4).swapaxes(1, 2)[: len(joints)]  # glTF stores columns
         moved, whole = np.zeros_like(points), np.zeros((len(points), 1))
         for name in (name for name in attributes if name.startswith("JOINTS_")):
-            which = self._accessor(attributes[name]).astype(np.int64)
-            shares = self._accessor(attributes[name.replace("JOINTS", "WEIGHTS")])
+            which = self.accessor(attributes[name]).astype(np.int64)
+            shares = self.accessor(attributes[name.replace("JOINTS", "WEIGHTS")])
             for joint, share in zip(which.T, shares.T, strict=True):
                 matrix = joints[joint]
                 moved += share[:, None] * (np.einsum("vij,vj->vi", matrix[:, :3, :3], points) + matrix[:, :3, 3])
                 whole += share[:, None]
         return moved / whole  # weights are rounded
 
-    def _accessor(self, number: int) -> np.ndarray:
+    def accessor(self, number: int) -> np.ndarray:
         """Values (count, width) float64, integers scaled where they are normalized."""
-        accessor = self._item("accessors", number)
+        accessor = self.item("accessors", number)
         kind, count = np.dtype(_TYPES[accessor["componentType"]]), accessor["count"]
         width = _WIDTHS[accessor["type"]]
         values = np.zeros((count, width), kind)
@@ -189,8 +204,8 @@ class _File:
 
     def _view(self, number: int, offset: int, kind: np.dtype, count: int, width: int) -> np.ndarray:
         """Numbers (count, width) of a buffer view, in its stride."""
-        view = self._item("bufferViews", number)
-        buffer = self._buffer(view["buffer"])
+        view = self.item("bufferViews", number)
+        buffer = self.buffer(view["buffer"])
         begin = view.get("byteOffset", 0)
         data = buffer[begin : begin + view["byteLength"]]
         stride = view.get("byteStride", kind.itemsize * width)
@@ -199,20 +214,25 @@ class _File:
             raise MeshError(f"buffer view {number} holds {len(data)} of {needed} bytes: it is cut short")
         return np.ndarray((count, width), kind, data, offset, (stride, kind.itemsize))
 
-    def _buffer(self, number: int) -> bytes:
-        buffer = self._item("buffers", number)
+    def buffer(self, number: int) -> bytes:
+        """All bytes of a buffer, from the file or beside it."""
+        buffer = self.item("buffers", number)
         uri = buffer.get("uri")
         if uri is None and number == 0:
             data = self.chunk
         elif uri is None:
             raise MeshError(f"buffer {number} is nowhere: allowed is a file that brings it, or names its file")
-        elif uri.startswith("data:"):
-            data = base64.b64decode(uri.partition(",")[2])
         else:
-            data = (self.folder / unquote(uri)).read_bytes()
+            data = self.linked(uri)
         if len(data) < buffer["byteLength"]:
             raise MeshError(f"buffer {number} holds {len(data)} of {buffer['byteLength']} bytes: it is cut short")
         return data
+
+    def linked(self, uri: str) -> bytes:
+        """What an address in the file leads to: itself, or a file beside it."""
+        if uri.startswith("data:"):
+            return base64.b64decode(uri.partition(",")[2])
+        return (self.folder / unquote(uri)).read_bytes()
 
 
 def _local(node: Any) -> np.ndarray:

@@ -1,13 +1,16 @@
 r"""Wavefront OBJ: `v`, and `f` by indices from 1, or from -1, the last vertex *so far*.
 
-Groups, materials, points, lines and curves make no surface and are passed over, and so are the words that other
-programs add. Names may be in any encoding. A comment runs from # to the end of its line; a line goes on after \.
+Of groups and materials the names are kept; points, lines and curves make no surface and are passed over, and so are
+the words that other programs add. Names may be in any encoding. A comment runs from # to the end of its line; a line
+goes on after \.
 """
 
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import attrs
+import numpy as np
 import numpy as np
 
 from termwise.scenes.meshes.polygons import MeshError, triangulate
@@ -16,51 +19,111 @@ from termwise.scenes.numerals import reals, wholes
 _SURFACES = {"surf", "bzp", "bsp", "cdp", "call", "csh"}  # free forms, and what other files hold
 
 
+@attrs.frozen(eq=False)
+class Content:
+    """What a file says of its polygons.
+
+    Attributes
+    ----------
+    points, normals : (V, 3) and (N, 3) float64.
+    corners, shading : (C,) int64, index of the point and of the normal (-1: none) of each corner, polygon by polygon.
+    counts : (P,) int64, corners of each polygon.
+    objects, materials : of each polygon, the names of `o` (or `g` where there is none) and `usemtl`, or "".
+    libraries : what `mtllib` names.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    corners: np.ndarray
+    shading: np.ndarray
+    counts: np.ndarray
+    objects: list[str]
+    materials: list[str]
+    libraries: list[str]
+
+
 def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) float64 and triangles (F, 3) int64, see `scenes.meshes.read`."""
-    vertices: list[list[float]] = []
+    content = parse(path)
+    return content.points, triangulate(content.points, content.corners, content.counts)
+
+
+def parse(path: Path) -> Content:
+    """All that a file says of its polygons.
+
+    Raises
+    ------
+    MeshError, OSError : as `scenes.meshes.read`.
+    """
+    vertices: dict[str, list[list[float]]] = {"v": [], "vn": []}
     corners: list[int] = []
+    shading: list[int] = []
     counts: list[int] = []
     lines: list[int] = []
-    for line, statement in _statements(path.read_bytes().decode("utf-8-sig", "replace")):
+    names = {"o": "", "g": "", "usemtl": ""}
+    objects, materials, libraries = [], [], []
+    for line, statement in statements(path.read_bytes().decode("utf-8-sig", "replace")):
         word, *values = statement.split()
         where = f"line {line}: {statement[:60]!r}"
-        if word == "v":
+        if word in vertices:
             try:
                 x, y, z, *_ = reals(values)
             except ValueError:
                 raise MeshError(f"{where}: allowed are three numbers") from None
-            vertices.append([x, y, z])
+            vertices[word].append([x, y, z])
         elif word in ("f", "fo"):
             if len(values) < 3:
                 raise MeshError(f"{where}: allowed are at least 3 corners")
             for value in values:
-                try:
-                    (index,) = wholes([value.partition("/")[0]])
-                except ValueError:
-                    raise MeshError(f"{where}: {value!r}: allowed are whole numbers, as 1, 1/1, 1//1, 1/1/1") from None
-                if index == 0 or index < -len(vertices):
-                    raise MeshError(f"{where}: index {index}: {_allowed(len(vertices))}")
-                corners.append(index - 1 if index > 0 else len(vertices) + index)
+                point, _, others = value.partition("/")
+                corners.append(_index(where, value, point, len(vertices["v"])))
+                normal = others.partition("/")[2]
+                shading.append(_index(where, value, normal, len(vertices["vn"])) if normal else -1)
             counts.append(len(values))
             lines.append(line)
+            objects.append(names["o"] or names["g"])
+            materials.append(names["usemtl"])
+        elif word in names:
+            names[word] = " ".join(values)
+        elif word == "mtllib":
+            libraries.append(" ".join(values))
         elif word in _SURFACES:
             raise MeshError(f"{where}: free-form surfaces and other files are not read: allowed are polygons")
         elif not word.isidentifier():
             raise MeshError(f"{where}: is no statement of OBJ")
     # An index from 1 may name a vertex that comes later.
-    if (wild := np.flatnonzero(np.array(corners, np.int64) >= len(vertices))).size:
-        face = np.searchsorted(np.cumsum(counts), wild[0], side="right")
-        raise MeshError(f"line {lines[face]}: index {corners[wild[0]] + 1}: {_allowed(len(vertices))}")
-    points = np.array(vertices, np.float64).reshape(-1, 3)
-    return points, triangulate(points, np.array(corners, np.int64), np.array(counts, np.int64))
+    for kind, indices in (("v", corners), ("vn", shading)):
+        if (wild := np.flatnonzero(np.array(indices, np.int64) >= len(vertices[kind]))).size:
+            face = np.searchsorted(np.cumsum(counts), wild[0], side="right")
+            raise MeshError(f"line {lines[face]}: index {indices[wild[0]] + 1}: {_allowed(len(vertices[kind]))}")
+    return Content(
+        np.array(vertices["v"], np.float64).reshape(-1, 3),
+        np.array(vertices["vn"], np.float64).reshape(-1, 3),
+        np.array(corners, np.int64),
+        np.array(shading, np.int64),
+        np.array(counts, np.int64),
+        objects,
+        materials,
+        libraries,
+    )
+
+
+def _index(where: str, value: str, text: str, count: int) -> int:
+    """An index from 0 of one from 1, or from -1 backwards of the last so far."""
+    try:
+        (index,) = wholes([text])
+    except ValueError:
+        raise MeshError(f"{where}: {value!r}: allowed are whole numbers, as 1, 1/1, 1//1, 1/1/1") from None
+    if index == 0 or index < -count:
+        raise MeshError(f"{where}: index {index}: {_allowed(count)}")
+    return index - 1 if index > 0 else count + index
 
 
 def _allowed(count: int) -> str:
     return f"allowed are 1 to {count}, and -1 to -{count} from the last" if count else "no vertex stands before it"
 
 
-def _statements(text: str) -> Iterator[tuple[int, str]]:
+def statements(text: str) -> Iterator[tuple[int, str]]:
     """Number of the first line, and text, of all that is not empty."""
     begun, first = "", 0
     for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):

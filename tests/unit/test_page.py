@@ -226,6 +226,7 @@ def synthesise(folder: Path) -> None:
                  "counts": {"rays": 0, "occlusion rays": 0}},
             ],
         }  # fmt: skip
+    described["cornell_box"]["substitutions"] = ["sky <1>: envmap: taken is a panorama"]
     results = {
         "schema": 1,
         "versions": {"termwise": "0.1.0", "python": "3.11.2", "mitsuba": "3.9.1", "numba": "0.68.1"},
@@ -292,6 +293,13 @@ def read(path: Path) -> Reader:
 
 def pages(run: Path) -> list[Path]:
     return [run / "index.html", run / "method.html", *sorted((run / "scenes").glob("*.html"))]
+
+
+@pytest.mark.slow
+def test_scene_page_lists_what_stands_for_something_else(run):
+    line = "sky <1>: envmap: taken is a panorama"
+    assert line in read(run / "scenes" / "cornell_box.html").text
+    assert "another renderer's file" not in read(run / "scenes" / "two_cubes.html").text
 
 
 @pytest.mark.slow

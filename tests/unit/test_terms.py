@@ -47,7 +47,7 @@ def scene() -> Scene:
         SunLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0)),
         SphereLight((0.0, 0.0, 3.0), 0.5, (1.0, 1.0, 1.0)),
     )
-    return attrs.evolve(load("two_cubes"), lights=lights, resolution=(4, 4))
+    return attrs.evolve(load("two_cubes"), lights=lights, resolution=(4, 4), substitutions=("a point for a lamp",))
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,415 @@
+"""A scene from Mitsuba's XML: meshes as Mitsuba loads them, diffuse surfaces, area and point lights, skies, a camera.
+
+Mitsuba parses the file and makes its objects, so that includes, parameters, transforms, spectra and normals mean what
+they mean there; nothing is rendered. Integrator and sampler are settings of a renderer and are not read.
+"""
+
+import gc
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from termwise.reference import backend
+from termwise.scenes.exchange.imported import MIRROR, Import, coated, look
+from termwise.scenes.model import BLACK, BLACK_SURFACE, Color, Material, PointLight, Scene, Sky
+from termwise.scenes.strict import FileError
+
+_SPHERE, _DISK = 4, 128
+"""Subdivisions of an icosphere, and corners of a polygon, that stand for round shapes."""
+_MAP = 512
+"""Rows of the panorama that an environment map is resampled to."""
+_GRID = 32
+"""Texels a side, over the unit square of u and v, of which a texture's mean is taken."""
+_TINY = 1e-4
+"""Of a camera's matrix, whose columns should be orthonormal."""
+_MESHES = ("obj", "ply", "serialized", "cube")
+_DIELECTRICS = ("plastic", "roughplastic", "pplastic")
+_CONDUCTORS = ("conductor", "roughconductor")
+
+
+@attrs.frozen
+class _Node:
+    """A plugin of the file with its properties, and the nodes that it holds."""
+
+    plugin: str
+    kind: str
+    name: str
+    properties: dict[str, Any]
+    children: tuple[tuple[str, "_Node"], ...]
+
+    def of(self, kind: str) -> Iterator["_Node"]:
+        """Children of a kind, by Mitsuba's name of it."""
+        return (child for _, child in self.children if child.kind == kind)
+
+    def textured(self, feature: str) -> str | None:
+        """Plugin of the texture that a feature has, unless it is of one colour."""
+        return next(
+            (child.plugin for name, child in self.children if name == feature and child.kind == "Texture"), None
+        )
+
+
+def read(path: Path, *, approximate: bool) -> Scene:
+    """Read a scene, see `scenes.load.load`.
+
+    Raises
+    ------
+    reference.backend.BackendError : Mitsuba cannot run here.
+    """
+    mi: Any = backend.import_mitsuba()
+    found = Import(path, approximate)
+    root, made = _parsed(mi, path)
+    try:
+        _check(found, root)
+        shapes = made.shapes()
+        described = [*root.of("Shape")]
+        if len(shapes) != len(described):
+            raise FileError(f"{path}: holds {len(described)} shapes, of which Mitsuba makes {len(shapes)}")
+        for node, shape in zip(described, shapes, strict=True):
+            _shape(mi, found, node, shape)
+        # Lamps are their shapes'; the others stand in the file's order.
+        lights = [each for each in made.emitters() if not mi.has_flag(each.flags(), mi.EmitterFlags.Surface)]
+        nodes = [node for node in root.of("Emitter") if node.plugin != "area"]
+        for node, light in zip(nodes, lights, strict=True):
+            _emitter(mi, found, node, light)
+        sensors = [*root.of("Sensor")]
+        if sensors:
+            _sensor(mi, found, sensors[0], made.sensors()[0])
+        for other in sensors[1:]:
+            found.assume(f"the first sensor is meant, not {other.name}")
+    finally:
+        del made, root
+        gc.collect()  # every material that exists would be compiled into every kernel
+    return found.scene()
+
+
+def _parsed(mi: Any, path: Path) -> tuple[_Node, Any]:
+    """The tree of plugins, and the scene that Mitsuba makes of it."""
+    level, known = mi.log_level(), mi.file_resolver()
+    here = mi.FileResolver(known)
+    here.prepend(str(path.parent))
+    mi.set_log_level(mi.LogLevel.Error)
+    mi.set_file_resolver(here)
+    config = mi.parser.ParserConfig(mi.variant())
+    config.merge_meshes = config.merge_equivalent = False
+    try:
+        state = mi.parser.parse_file(config, str(path))
+        mi.parser.transform_all(config, state)
+        tree = _node(mi, state, 0)
+        _refuse_groups(path, tree)
+        made = mi.parser.instantiate(config, state)
+    except RuntimeError as error:
+        said = [line.strip() for line in str(error).splitlines() if line.strip()]
+        raise FileError(f"{path}: Mitsuba does not load it: {' '.join(said)[:400]}") from None
+    finally:
+        mi.set_log_level(level)
+        mi.set_file_resolver(known)
+    if not isinstance(made, mi.Scene):
+        raise FileError(f"{path}: is no scene: allowed is a file whose root is <scene>")
+    return tree, made
+
+
+def _node(mi: Any, state: Any, number: int) -> _Node:
+    node = state.nodes[number]
+    properties, children = {}, []
+    for key in node.props.keys():  # noqa: SIM118  it is no dictionary
+        if node.props.type(key) == mi.Properties.Type.ResolvedReference:
+            children.append((key, _node(mi, state, node.props[key].index())))
+        else:
+            properties[key] = node.props[key]
+    kind = str(node.type).rpartition(".")[2]
+    plugin = node.props.plugin_name()
+    return _Node(plugin, kind, node.props.id() or _called(plugin, properties), properties, tuple(children))
+
+
+def _called(plugin: str, properties: dict[str, Any]) -> str:
+    """The name of what has none: its file's, or its plugin's."""
+    return Path(properties["filename"]).stem if "filename" in properties else plugin
+
+
+def _refuse_groups(path: Path, root: _Node) -> None:
+    """What would be other shapes in Mitsuba's list than in the file's."""
+    for shape in root.of("Shape"):
+        if shape.plugin in ("shapegroup", "instance", "merge"):
+            raise FileError(f"{path}: {shape.name}: {shape.plugin}: the model has no instances")
+
+
+def _check(found: Import, node: _Node) -> None:
+    """Refuse what fills space."""
+    for _, child in node.children:
+        if child.kind in ("Medium", "Volume"):
+            raise found.refuse(child.name, f"{child.plugin}, a medium")
+        _check(found, child)
+
+
+def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
+    """Add a shape with its surface and radiance."""
+    normals = None
+    matrix = _matrix(node)
+    if node.plugin in _MESHES:
+        points = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
+        faces = np.array(shape.faces_buffer(), np.int64).reshape(-1, 3)
+        if shape.has_vertex_normals():
+            normals = np.array(shape.vertex_normals_buffer(), np.float64).reshape(-1, 3)
+    elif node.plugin == "rectangle":
+        points = _placed(matrix, [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        faces = np.array([[0, 1, 2], [0, 2, 3]])
+    elif node.plugin in ("sphere", "disk"):
+        points, faces, normals = _round(found, node, matrix)
+    else:
+        raise found.refuse(node.name, f"{node.plugin}, a shape")
+    if node.properties.get("flip_normals", False):
+        faces, normals = faces[:, ::-1], None if normals is None else -normals
+    emission = BLACK
+    emitters = [*node.of("Emitter")]
+    for emitter in emitters:
+        emission = _area(mi, found, node, emitter, shape)
+    surfaces = [*node.of("BSDF")]
+    # Without one Mitsuba takes a grey; of a lamp that is meant to be seen as one, black.
+    material = (
+        _surface(mi, found, node.name, surfaces[0], shape.bsdf()) if surfaces else _default(mi, found, node, shape)
+    )
+    found.add(node.name, points, faces, material, normals=normals, emission=emission)
+
+
+def _matrix(node: _Node) -> np.ndarray:
+    given = node.properties.get("to_world")
+    return np.eye(4) if given is None else np.array(given.matrix, np.float64)
+
+
+def _placed(matrix: np.ndarray, points: Any) -> np.ndarray:
+    return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def _round(found: Import, node: _Node, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Points, faces and normals of triangles that stand for a sphere or a disk."""
+    from trimesh import creation  # takes seconds to load
+
+    if node.plugin == "disk":
+        found.instead(node.name, "disk", f"a polygon of {_DISK} corners")
+        angle = 2.0 * np.pi * np.arange(_DISK) / _DISK
+        rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(_DISK)], axis=1)
+        last = np.arange(1, _DISK - 1)
+        return _placed(matrix, rim), np.stack([0 * last, last, last + 1], axis=1), None
+    found.instead(node.name, "sphere", f"{20 * 4**_SPHERE} triangles with its normals")
+    ball = creation.icosphere(subdivisions=_SPHERE)
+    unit = np.asarray(ball.vertices, np.float64)
+    center = np.array(node.properties.get("center", (0.0, 0.0, 0.0)), np.float64).ravel()
+    points = _placed(matrix, center + node.properties.get("radius", 1.0) * unit)
+    faces = np.asarray(ball.faces, np.int64)
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        faces = faces[:, ::-1]
+    return points, faces, unit @ np.linalg.inv(matrix[:3, :3])
+
+
+def _default(mi: Any, found: Import, node: _Node, shape: Any) -> Material:
+    if shape.is_emitter():
+        found.instead(node.name, "a lamp whose surface is Mitsuba's grey", "a black one")
+        return BLACK_SURFACE
+    found.instead(node.name, "diffuse on one side, for it has no bsdf", "the same on both sides")
+    return Material(_reflectance(mi, shape.bsdf()), 0.0)
+
+
+def _surface(mi: Any, found: Import, name: str, node: _Node, made: Any) -> Material:
+    """The material of a BSDF; what is not diffuse and two-sided has a stand-in, or is refused."""
+    name = f"{name}: bsdf {node.name}" if node.name != node.plugin else name
+    inner, sides = node, 1
+    if node.plugin == "twosided":
+        both = [*node.of("BSDF")]
+        inner, sides = both[0], 2
+        if len(both) > 1:
+            found.instead(name, "twosided with two surfaces", "the first on both sides")
+    prefix = "brdf_0." if node.plugin == "twosided" else ""
+    if inner.plugin == "diffuse":
+        color = _mean(mi, found, name, inner, "reflectance", made)
+        if sides == 1 and any(color):
+            found.instead(name, "diffuse on one side", "the same on both sides")
+        return Material(color, 0.0)
+    material = _glossy(mi, found, name, inner, made, prefix)
+    if sides == 1:
+        found.instead(name, f"{inner.plugin} on one side", "the same on both sides")
+    return material
+
+
+def _glossy(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: str) -> Material:
+    """Beckmann's lobe with Schlick's reflectance, equal at normal incidence, for lobes that are not exactly that.
+
+    `prefix` leads to the parameters of the node from those of the BSDF `made`.
+    """
+    parameters = mi.traverse(made)
+
+    def value(key: str, *, width: int = 3) -> Any:
+        for end in (f"{key}.value", key):
+            if prefix + end in parameters:
+                given = np.array(_color(parameters[prefix + end]))
+                return given if width == 3 else float(given[0])
+        kind = node.textured(key) or "nothing"
+        raise found.refuse(name, f"{kind} for {key} of {node.plugin}")
+
+    if node.plugin in _CONDUCTORS:
+        rough = node.plugin == "roughconductor"
+        if {"alpha_u", "alpha_v"} & set(node.properties):
+            found.instead(name, "alpha_u and alpha_v", "their mean")
+            alpha = (value("alpha_u", width=1) + value("alpha_v", width=1)) / 2.0
+        else:
+            alpha = value("alpha", width=1) if rough else MIRROR
+        f0 = _conductor(value("eta"), value("k"))
+        if f"{prefix}specular_reflectance.value" in parameters:
+            f0 = f0 * value("specular_reflectance")
+        kind = node.properties.get("distribution", "beckmann") if rough else "a mirror"
+        found.instead(name, f"{node.plugin} ({kind})", "Beckmann's lobe with Schlick's reflectance of the same f0")
+        return Material(BLACK, 1.0, float(np.clip(alpha, MIRROR, 1.5)), _color(np.clip(f0, 0.0, 1.0)))
+    if node.plugin in _DIELECTRICS:
+        index = value("eta", width=1)
+        alpha = MIRROR if node.plugin == "plastic" else value("alpha", width=1)
+        found.instead(name, node.plugin, "a lobe over a diffuse base, equal at normal incidence")
+        f0 = ((index - 1.0) / (index + 1.0)) ** 2
+        color = _mean(mi, found, name, node, "diffuse_reflectance", made)
+        return coated(color, metallic=0.0, f0=f0, roughness=alpha)
+    if node.plugin == "principled":
+        if value("spec_trans", width=1) > 0.0:
+            raise found.refuse(name, "principled with spec_trans, which transmits light")
+        found.instead(name, "principled", "a lobe over a diffuse base, equal at normal incidence")
+        metallic, roughness = value("metallic", width=1), value("roughness", width=1)
+        f0 = (
+            0.08 * value("specular", width=1) if f"{prefix}specular" in parameters else _of_index(value("eta", width=1))
+        )
+        color = _mean(mi, found, name, node, "base_color", made)
+        return coated(color, metallic=metallic, f0=f0, roughness=roughness**2)
+    if node.plugin == "blendbsdf" and [child.plugin for child in node.of("BSDF")] == ["diffuse", "roughconductor"]:
+        first, second = node.of("BSDF")
+        lobe = _glossy(mi, found, name, second, made, f"{prefix}bsdf_1.")
+        if (texture := first.textured("reflectance")) is not None:
+            raise found.refuse(name, f"{texture}, a texture in blendbsdf")
+        color = _color(parameters[f"{prefix}bsdf_0.reflectance.value"])
+        return attrs.evolve(lobe, color=color, gloss=value("weight", width=1))
+    raise found.refuse(name, node.plugin)
+
+
+def _conductor(eta: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Reflectance at normal incidence, `((n - 1)² + k²) / ((n + 1)² + k²)`."""
+    return ((eta - 1.0) ** 2 + k**2) / ((eta + 1.0) ** 2 + k**2)
+
+
+def _of_index(index: float) -> float:
+    return ((index - 1.0) / (index + 1.0)) ** 2
+
+
+def _mean(mi: Any, found: Import, name: str, node: _Node, feature: str, made: Any) -> Color:
+    """Diffuse reflectance that a feature of a BSDF says, a texture's mean."""
+    texture = node.textured(feature)
+    if texture == "mesh_attribute":
+        raise found.refuse(name, f"{texture}, a texture")
+    if texture is not None:
+        found.instead(name, f"{texture}, a texture of {feature}", "its mean")
+    return _reflectance(mi, made)
+
+
+def _reflectance(mi: Any, made: Any) -> Color:
+    """Diffuse reflectance of a BSDF, its mean over the unit square of u and v."""
+    centres = (np.arange(_GRID) + 0.5) / _GRID
+    grid = np.stack([each.ravel() for each in np.meshgrid(centres, centres)])
+    if mi.variant().startswith("scalar"):
+        values = np.array([_at(mi, made, uv) for uv in grid.T])
+    else:
+        values = _at(mi, made, grid)
+    return _color(np.clip(values.reshape(-1, 3).mean(axis=0), 0.0, 1.0))
+
+
+def _at(mi: Any, made: Any, uv: np.ndarray) -> np.ndarray:
+    si = mi.SurfaceInteraction3f()
+    si.wi, si.uv = mi.Vector3f(0.0, 0.0, 1.0), mi.Point2f(uv)
+    return np.array(made.eval_diffuse_reflectance(si), np.float64).T
+
+
+def _area(mi: Any, found: Import, node: _Node, emitter: _Node, shape: Any) -> Color:
+    """Radiance of a lamp."""
+    if emitter.plugin != "area":
+        raise found.refuse(node.name, f"{emitter.plugin}, an emitter of a shape")
+    if (texture := emitter.textured("radiance")) not in (None, "d65", "srgb", "uniform", "regular", "irregular"):
+        raise found.refuse(node.name, f"{texture}, a texture of radiance")
+    si = mi.SurfaceInteraction3f()
+    si.wi = mi.Vector3f(0.0, 0.0, 1.0)
+    return _color(shape.emitter().eval(si))
+
+
+def _color(value: Any) -> Color:
+    """Three numbers, or one for all, of Mitsuba's float32: 0.35 as it stood in the file, not 0.3499999940."""
+    red, green, blue = (float(str(each)) for each in np.resize(np.array(value, np.float32).ravel(), 3))
+    return red, green, blue
+
+
+def _emitter(mi: Any, found: Import, node: _Node, made: Any) -> None:
+    """Add a light that is no shape's."""
+    if node.plugin == "point":
+        place = np.array(node.properties.get("position", (0.0, 0.0, 0.0)), np.float64).ravel()
+        intensity = _color(mi.traverse(made)["intensity.value"])
+        found.lights.append(PointLight(tuple(_placed(_matrix(node), place).tolist()), intensity))
+    elif node.plugin == "constant":
+        found.sky = Sky(color=_color(_toward(mi, made, np.array([[0.0, 0.0, 1.0]]))))
+    elif node.plugin == "envmap":
+        found.instead(node.name, "envmap", f"a panorama of {2 * _MAP} x {_MAP} texels")
+        found.sky = Sky(texture=_panorama(mi, made), radius=math.inf, projection="lat-long")
+    else:
+        found.instead(node.name, f"{node.plugin}, a light", "none in its place")
+
+
+def _toward(mi: Any, sky: Any, directions: np.ndarray) -> np.ndarray:
+    """Radiance (N, 3) of an environment along unit directions (N, 3)."""
+    si = mi.SurfaceInteraction3f()
+    if not mi.variant().startswith("scalar"):
+        si.wi = mi.Vector3f(-directions.T)
+        return np.array(sky.eval(si), np.float64).T.reshape(-1, 3) + np.zeros((len(directions), 1))
+    values = np.empty((len(directions), 3))
+    for number, direction in enumerate(directions):
+        si.wi = mi.Vector3f(*(-direction).tolist())
+        values[number] = np.array(sky.eval(si))
+    return values
+
+
+def _panorama(mi: Any, sky: Any) -> np.ndarray:
+    """Texels (H, 2 H, 3) float32 of `scenes.model.Sky`, lat-long."""
+    v, u = np.meshgrid(
+        np.pi * (np.arange(_MAP) + 0.5) / _MAP, np.pi * ((np.arange(2 * _MAP) + 0.5) / _MAP - 1.0), indexing="ij"
+    )
+    directions = np.stack([np.sin(v) * np.sin(u), np.sin(v) * np.cos(u), np.cos(v)], axis=-1)
+    return _toward(mi, sky, directions.reshape(-1, 3)).reshape(*v.shape, 3).astype(np.float32)
+
+
+def _sensor(mi: Any, found: Import, node: _Node, made: Any) -> None:
+    """The camera and the size of its film."""
+    if node.plugin == "thinlens":
+        found.instead(node.name, "thinlens", "a pinhole")
+    elif node.plugin != "perspective":
+        raise found.refuse(node.name, f"{node.plugin}, a sensor")
+    parameters = mi.traverse(made)
+    for axis in "xy":
+        if node.properties.get(f"principal_point_offset_{axis}", 0.0) != 0.0:
+            raise found.refuse(node.name, f"principal_point_offset_{axis}")
+    width, height = np.array(parameters["film.size"]).ravel().tolist()
+    if np.array(parameters["film.crop_size"]).ravel().tolist() != [width, height]:
+        raise found.refuse(node.name, "a film that is cropped")
+    found.resolution = int(width), int(height)
+    matrix = _matrix(node)
+    turned = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
+    if np.abs(turned.T @ turned - np.eye(3)).max() > _TINY or np.linalg.det(turned) < 0.0:
+        raise found.refuse(node.name, "a to_world that skews or mirrors the picture")
+    # Mitsuba's x is to the left; the field of view is across the width, whatever its axis was.
+    fov = float(np.array(parameters["x_fov"]).ravel()[0])
+    found.camera = look(matrix[:3, 3], turned[:, 2], turned[:, 1], _precise(node, fov, width / height))
+    filters = [child for film in node.of("Film") for child in film.of("ReconstructionFilter")]
+    kind = filters[0].plugin if filters else "gaussian"  # Mitsuba's own
+    if kind != "box":
+        found.instead(node.name, f"{kind}, a pixel filter", "a box of a pixel")
+    near, far = (float(np.array(parameters[f"{name}_clip"]).ravel()[0]) for name in ("near", "far"))
+    found.clipped(found.camera, near, far)
+
+
+def _precise(node: _Node, fov: float, aspect: float) -> float:
+    """The field of view across the width in all digits of the file, where its axis is plain; else in float32."""
+    given, axis = node.properties.get("fov"), node.properties.get("fov_axis", "x")
+    across = axis == "x" or (axis == "smaller" and aspect <= 1.0) or (axis == "larger" and aspect >= 1.0)
+    return float(given) if given is not None and across else fov

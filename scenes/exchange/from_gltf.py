@@ -1,0 +1,197 @@
+"""A scene from GLB: nodes with their transforms, materials, emission, point lights and the first camera.
+
+glTF's y is up and becomes z, exactly: (x, y, z) is at (x, -z, y). A nit is our unit of radiance, a candela that of
+intensity. An emitting material of one side is a lamp; its back, which glTF does not show, is black here.
+"""
+
+import io
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+
+from termwise.scenes.exchange.imported import LONGEST, Import, coated, look
+from termwise.scenes.meshes.glb import File, described
+from termwise.scenes.model import Color, Material, PointLight, Scene
+
+_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+_F0 = 0.04
+"""Of a dielectric whose index of refraction is glTF's default, 1.5."""
+_KNOWN = {"KHR_materials_emissive_strength", "KHR_materials_specular", "KHR_materials_ior"}
+_TINY = 1e-4
+"""Of a matrix whose columns should be orthogonal and of one length."""
+
+
+def read(path: Path, *, approximate: bool) -> Scene:
+    """Read a scene, see `scenes.load.load`."""
+    found = Import(path, approximate)
+    with described(path) as file:
+        if file.description.get("animations"):
+            found.instead("animations", f"{len(file.description['animations'])} of them", "the pose at rest")
+        for number, primitive, points, faces in file.primitives():
+            _primitive(found, file, number, primitive, points, faces)
+        for number in file.scene():
+            node = file.item("nodes", number)
+            light = node.get("extensions", {}).get("KHR_lights_punctual")
+            if light is not None:
+                _light(found, file, number, light["light"])
+            if "camera" in node:
+                _camera(found, file, number, node["camera"])
+        extras = _described_scene(file).get("extras")
+        if isinstance(extras, dict) and "resolution" in extras:
+            width, height = extras["resolution"]
+            found.resolution = int(width), int(height)
+    return found.scene()
+
+
+def _described_scene(file: File) -> Any:
+    scenes = file.description.get("scenes", [])
+    return file.item("scenes", file.description.get("scene", 0)) if scenes else {}
+
+
+def _named(kind: str, item: Any, number: int) -> str:
+    return item.get("name") or f"{kind} {number}"
+
+
+def _primitive(found: Import, file: File, number: int, primitive: Any, points: np.ndarray, faces: np.ndarray) -> None:
+    """An object for each primitive of a node's mesh."""
+    node = file.item("nodes", number)
+    name = _named("node", node, number)
+    if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
+        raise found.refuse(name, "EXT_mesh_gpu_instancing")
+    attributes = primitive["attributes"]
+    if "skin" in node or primitive.get("targets"):
+        found.instead(name, "a skin or a morph", "the pose at rest, flat")
+    normals = None
+    if "NORMAL" in attributes and "skin" not in node and not primitive.get("targets"):
+        matrix = file.world(number)[:3, :3]
+        normals = file.accessor(attributes["NORMAL"]) @ np.linalg.inv(matrix) @ _UP.T
+    tint = np.ones(3)
+    if "COLOR_0" in attributes:
+        found.instead(name, "COLOR_0, colours at the vertices", "their mean")
+        tint = file.accessor(attributes["COLOR_0"])[:, :3].mean(axis=0)
+    used = file.item("materials", primitive["material"]) if "material" in primitive else {}
+    material, emission = _material(found, file, used, f"material {used['name']!r}" if "name" in used else name, tint)
+    found.add(name, points @ _UP.T, faces, material, normals=normals, emission=emission)
+
+
+def _material(found: Import, file: File, used: Any, name: str, tint: np.ndarray) -> tuple[Material, Color]:
+    """Surface and radiance of a material described."""
+    extensions = used.get("extensions", {})
+    for extension in ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness"):
+        if extension in extensions:
+            raise found.refuse(name, extension)
+    for extension in extensions:
+        if extension not in _KNOWN:
+            found.instead(name, extension, "the material without it")
+    surface = used.get("pbrMetallicRoughness", {})
+    color = np.array(surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3], float) * tint
+    metallic, roughness = surface.get("metallicFactor", 1.0), surface.get("roughnessFactor", 1.0)
+    if "baseColorTexture" in surface:
+        color *= _mean(found, file, name, "baseColorTexture", surface, encoded=True)
+    if "metallicRoughnessTexture" in surface:
+        _, green, blue = _mean(found, file, name, "metallicRoughnessTexture", surface, encoded=False)
+        metallic, roughness = metallic * blue, roughness * green
+    for texture in ("normalTexture", "occlusionTexture"):
+        if texture in used:
+            found.instead(name, texture, "the material without it")
+    if used.get("alphaMode", "OPAQUE") != "OPAQUE":
+        found.instead(name, f"alphaMode {used['alphaMode']}", "an opaque surface")
+    emission = _emission(found, file, used, name)
+    if any(emission) and used.get("doubleSided", False):
+        found.instead(name, "a lamp of two sides", "one that shines from the front")
+    if not any(emission) and not used.get("doubleSided", False):
+        found.instead(name, "one side, for doubleSided is not true", "a surface of two sides")
+    specular = extensions.get("KHR_materials_specular", {})
+    index = extensions.get("KHR_materials_ior", {}).get("ior", 1.5)
+    f0 = specular.get("specularFactor", 1.0) * (_F0 if index == 1.5 else ((index - 1.0) / (index + 1.0)) ** 2)
+    if "specularTexture" in specular or "specularColorTexture" in specular:
+        found.instead(name, "a texture of KHR_materials_specular", "the material without it")
+    if "specularColorFactor" in specular:
+        found.instead(name, "specularColorFactor", "its mean")
+        f0 *= float(np.mean(specular["specularColorFactor"]))
+    if metallic == 0.0 and specular.get("specularFactor", 1.0) == 0.0:
+        return Material(tuple(color.tolist()), 0.0), emission
+    if not any(color) and any(emission):
+        # Black but for a dielectric's reflection, which is what a lamp loses in `Import.add`.
+        return coated(color.tolist(), metallic=0.0, f0=f0, roughness=roughness**2), emission
+    found.instead(
+        name,
+        f"GGX's lobe, metallic {metallic:g}, roughness {roughness:g}, F0 {f0:g}",
+        "Beckmann's of the same alpha, equal at normal incidence",
+    )
+    return coated(color.tolist(), metallic=metallic, f0=min(f0, 1.0), roughness=roughness**2), emission
+
+
+def _emission(found: Import, file: File, used: Any, name: str) -> Color:
+    strength = used.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
+    radiance = np.array(used.get("emissiveFactor", (0.0, 0.0, 0.0)), float) * strength
+    if "emissiveTexture" in used and radiance.any():
+        radiance *= _mean(found, file, name, "emissiveTexture", used, encoded=True)
+    red, green, blue = radiance.tolist()
+    return red, green, blue
+
+
+def _mean(found: Import, file: File, name: str, feature: str, holder: Any, *, encoded: bool) -> np.ndarray:
+    """Mean (3,) of a texture's texels; linear, whether they are encoded as sRGB or not."""
+    found.instead(name, feature, "its mean")
+    texture = file.item("textures", holder[feature]["index"])
+    if "source" not in texture:
+        raise found.refuse(name, f"{feature} of {', '.join(texture.get('extensions', {})) or 'no image'}")
+    image = file.item("images", texture["source"])
+    if "bufferView" in image:
+        view = file.item("bufferViews", image["bufferView"])
+        begin = view.get("byteOffset", 0)
+        content = file.buffer(view["buffer"])[begin : begin + view["byteLength"]]
+    else:
+        content = file.linked(image["uri"])
+    try:
+        texels = np.asarray(PIL.Image.open(io.BytesIO(content)).convert("RGB"), float) / 255.0
+    except OSError as error:
+        raise found.refuse(name, f"{feature}: an image that cannot be read ({error})") from None
+    if encoded:
+        texels = np.where(texels <= 0.04045, texels / 12.92, ((texels + 0.055) / 1.055) ** 2.4)
+    return texels.mean(axis=(0, 1))
+
+
+def _light(found: Import, file: File, number: int, light: int) -> None:
+    """A point light, by the place of its node."""
+    given = file.description["extensions"]["KHR_lights_punctual"]["lights"][light]
+    name = _named("light", file.item("nodes", number), number)
+    if given["type"] != "point":
+        found.instead(name, f"a light of type {given['type']}", "none in its place")
+        return
+    if "range" in given:
+        found.instead(name, f"range {given['range']}, beyond which it ends", "a light without an end")
+    color = np.array(given.get("color", (1.0, 1.0, 1.0)), float) * given.get("intensity", 1.0)
+    position = _UP @ file.world(number)[:3, 3]
+    found.lights.append(PointLight(tuple(position.tolist()), tuple(color.tolist())))
+
+
+def _camera(found: Import, file: File, number: int, camera: int) -> None:
+    """The first camera; further ones are named."""
+    given = file.item("cameras", camera)
+    name = _named("camera", file.item("nodes", number), number)
+    if found.camera is not None:
+        found.assume(f"the first camera is meant, not {name}")
+        return
+    if given["type"] != "perspective":
+        raise found.refuse(name, f"a camera of type {given['type']}")
+    lens = given["perspective"]
+    world = file.world(number)
+    columns = _UP @ world[:3, :3]
+    length = np.linalg.norm(columns, axis=0)
+    turned = columns / length
+    if np.abs(turned.T @ turned - np.eye(3)).max() > _TINY or np.linalg.det(turned) < 0.0:
+        raise found.refuse(name, "a matrix that skews or mirrors the picture")
+    aspect = lens.get("aspectRatio", 4.0 / 3.0)
+    if "aspectRatio" not in lens:
+        found.assume("a picture of 4 : 3, for the camera has no aspectRatio")
+    fov = 2.0 * math.degrees(math.atan(math.tan(lens["yfov"] / 2.0) * aspect))
+    found.camera = look(_UP @ world[:3, 3], -turned[:, 2], turned[:, 1], fov)
+    found.resolution = (
+        (LONGEST, max(round(LONGEST / aspect), 1)) if aspect >= 1 else (max(round(LONGEST * aspect), 1), LONGEST)
+    )
+    found.clipped(found.camera, lens["znear"], lens.get("zfar", math.inf))

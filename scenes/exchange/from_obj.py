@@ -1,0 +1,158 @@
+"""A scene from OBJ with its MTL: an object for each name and material; `Kd` reflects, `Ke` is the radiance of a lamp.
+
+Coordinates stay as they are. OBJ has no camera, point light or sky; what is assumed in their place is listed.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import PIL.Image
+
+from termwise.scenes.exchange.imported import MIRROR, Import
+from termwise.scenes.meshes import obj
+from termwise.scenes.meshes.polygons import triangulate
+from termwise.scenes.model import BLACK, Color, Material, Scene
+from termwise.scenes.strict import FileError
+
+_TRANSMITS = (4, 6, 7, 9)
+"""Values of `illum` that mean glass or refraction."""
+_PLAIN = (0, 1)
+"""Values of `illum` that mean no highlight."""
+
+
+@attrs.define
+class _Look:
+    """A material of MTL, as far as it is read; the rest by name in `others`."""
+
+    name: str
+    Kd: Color = BLACK
+    Ks: Color = BLACK
+    Ke: Color = BLACK
+    Ns: float = 0.0
+    illum: int | None = None
+    opacity: float = 1.0
+    maps: dict[str, Path] = attrs.Factory(dict)
+
+
+def read(path: Path, *, approximate: bool) -> Scene:
+    """Read a scene, see `scenes.load.load`."""
+    found = Import(path, approximate)
+    content = obj.parse(path)
+    looks: dict[str, _Look] = {}
+    for library in content.libraries:
+        looks |= _library(path.parent / library)
+    pairs = [*zip(content.objects, content.materials, strict=True)]
+    starts = np.cumsum(content.counts) - content.counts
+    distinct = [*dict.fromkeys(pairs)]
+    for thing, used in distinct:
+        name = thing or used
+        if thing and sum(each[0] == thing for each in distinct) > 1:
+            name = f"{thing}: {used}"
+        chosen = np.flatnonzero([pair == (thing, used) for pair in pairs])
+        corners = np.concatenate([np.arange(starts[i], starts[i] + content.counts[i]) for i in chosen])
+        _object(found, content, name, corners, content.counts[chosen], looks, used)
+    return found.scene()
+
+
+def _object(
+    found: Import,
+    content: obj.Content,
+    name: str,
+    corners: np.ndarray,
+    counts: np.ndarray,
+    looks: dict[str, _Look],
+    used: str,
+) -> None:
+    """Add the polygons of one object and material."""
+    if used and used not in looks:
+        raise FileError(f"{found.path}: usemtl {used}: no such material: allowed are {', '.join(looks) or 'none'}")
+    if not used:
+        found.assume(f"{name or 'what has no material'}: a diffuse surface of reflectance 0.8")
+    material, emission = _surface(found, looks[used]) if used else (Material(), BLACK)
+    points, shading = content.corners[corners], content.shading[corners]
+    smooth = bool((shading >= 0).all())
+    if not smooth:
+        if (shading >= 0).any():
+            found.instead(name, "normals at some corners alone", "those of the faces")
+        shading = np.full_like(shading, -1)
+    # A vertex for each point with each of its normals.
+    pairs, indices = np.unique(np.stack([points, shading], axis=1), axis=0, return_inverse=True)
+    vertices = content.points[pairs[:, 0]]
+    faces = triangulate(vertices, indices.ravel(), counts)
+    found.add(
+        name, vertices, faces, material, normals=content.normals[pairs[:, 1]] if smooth else None, emission=emission
+    )
+
+
+def _surface(found: Import, look: _Look) -> tuple[Material, Color]:
+    """Surface and radiance of a material; Phong's lobe becomes one of Beckmann's of the same width and reflectance."""
+    name = f"material {look.name!r}"
+    if look.illum in _TRANSMITS:
+        found.instead(name, f"illum {look.illum}, which transmits light", "an opaque surface")
+    if look.opacity < 1.0:
+        found.instead(name, f"an opacity of {look.opacity:g}", "an opaque surface")
+    diffuse = np.array(look.Kd)
+    for feature, file in look.maps.items():
+        if feature == "map_Kd":
+            found.instead(name, feature, "its mean")
+            diffuse = diffuse * _mean(file)
+        else:
+            found.instead(name, feature, "the material without it")
+    color = tuple(diffuse.tolist())
+    if not any(look.Ks) or look.illum in _PLAIN:
+        return Material(color, 0.0), look.Ke
+    gloss = max(look.Ks)
+    found.instead(
+        name, f"Phong's lobe, Ks {' '.join(map(str, look.Ks))}, Ns {look.Ns:g}", "Beckmann's of about its width"
+    )
+    under = tuple(min(float(c) / (1.0 - gloss), 1.0) if gloss < 1.0 else 0.0 for c in color)
+    alpha = float(np.clip(np.sqrt(2.0 / (look.Ns + 2.0)), MIRROR, 1.5))
+    return Material(under, gloss, alpha, tuple(min(s / gloss, 1.0) for s in look.Ks)), look.Ke
+
+
+def _mean(path: Path) -> np.ndarray:
+    """Mean (3,) of an image's texels, which are encoded as sRGB; linear."""
+    try:
+        texels = np.asarray(PIL.Image.open(path).convert("RGB"), float) / 255.0
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return np.where(texels <= 0.04045, texels / 12.92, ((texels + 0.055) / 1.055) ** 2.4).mean(axis=(0, 1))
+
+
+def _library(path: Path) -> dict[str, _Look]:
+    """Materials of an MTL file by name."""
+    looks: dict[str, _Look] = {}
+    look = None
+    for line, statement in obj.statements(path.read_bytes().decode("utf-8-sig", "replace")):
+        word, *values = statement.split()
+        if word == "newmtl":
+            look = looks[" ".join(values)] = _Look(" ".join(values))
+        elif look is None:
+            raise FileError(f"{path}: line {line}: {statement[:60]!r}: stands before the first newmtl")
+        else:
+            try:
+                _property(look, path, word, values)
+            except (ValueError, IndexError):
+                raise FileError(
+                    f"{path}: line {line}: {statement[:60]!r}: allowed are numbers, three of a colour"
+                ) from None
+    return looks
+
+
+def _property(look: _Look, path: Path, word: str, values: list[Any]) -> None:
+    if word in ("Kd", "Ks", "Ke"):
+        numbers = [float(value) for value in values]
+        red, green, blue = numbers if len(numbers) > 1 else numbers * 3
+        setattr(look, word, (red, green, blue))
+    elif word == "Ns":
+        look.Ns = float(values[0])
+    elif word == "illum":
+        look.illum = int(values[0])
+    elif word == "d":
+        look.opacity = float(values[-1])
+    elif word == "Tr":
+        look.opacity = 1.0 - float(values[0])
+    elif word.startswith("map_") or word in ("bump", "disp", "norm", "decal"):
+        look.maps[word] = path.parent / values[-1]

@@ -1,0 +1,221 @@
+"""A scene from the file of another renderer, as far as the model can say it: what all readers share.
+
+What the model cannot say is refused by the name of its node and of the feature; with `approximate` the nearest thing
+that it can say stands in its place, and is listed in the scene's `substitutions`. What a file leaves open is assumed,
+and listed there too.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from termwise.scenes.model import BLACK, Ambient, Camera, Color, Material, Mesh, Object, Photons, PointLight, Scene, Sky
+from termwise.scenes.strict import FileError
+
+MIRROR = 0.01
+"""Roughness that stands for none: a smaller one is a lobe that float32 hardly samples."""
+LONGEST = 128
+"""Pixels of the longer side of a picture whose size no file says."""
+_FLAT = 1e-5  # 1 - cosine, of a shading normal that is the face's own
+_DENSEST = 50.0  # radii of the photon estimate across the scene
+_WHITE: Color = (1.0, 1.0, 1.0)
+
+
+@attrs.define
+class Import:
+    """A scene while it is read.
+
+    Attributes
+    ----------
+    path : of the file.
+    approximate : whether something else may stand for what the model cannot say.
+    substitutions : what does, and what was assumed, a sentence each.
+    objects, lights, sky, camera, resolution : what was found; a sky, camera or size of None is assumed.
+    """
+
+    path: Path
+    approximate: bool
+    substitutions: list[str] = attrs.Factory(list)
+    objects: list[Object] = attrs.Factory(list)
+    lights: list[PointLight] = attrs.Factory(list)
+    sky: Sky | None = None
+    camera: Camera | None = None
+    resolution: tuple[int, int] | None = None
+
+    def refuse(self, node: str, feature: str) -> FileError:
+        """An error that names what no surface, light or camera of the model comes near."""
+        return FileError(f"{self.path}: {node}: {feature}: the model has none, and nothing like it")
+
+    def instead(self, node: str, feature: str, taken: str) -> None:
+        """Put something in the place of what the model cannot say.
+
+        Raises
+        ------
+        FileError : substitutions are not allowed.
+        """
+        if not self.approximate:
+            raise FileError(f"{self.path}: {node}: {feature}: the model has none: --approximate takes {taken}")
+        self._note(f"{node}: {feature}: taken is {taken}")
+
+    def assume(self, what: str) -> None:
+        """Note what the file does not say."""
+        self._note(f"assumed: {what}")
+
+    def _note(self, line: str) -> None:
+        if line not in self.substitutions:
+            self.substitutions.append(line)
+
+    def name(self, wanted: str) -> str:
+        """A name that no object has yet."""
+        taken = {thing.name for thing in self.objects} | {"", "image"}
+        name, count = wanted, 1
+        while name in taken:
+            count += 1
+            name = f"{wanted or 'object'} {count}"
+        return name
+
+    def add(
+        self,
+        name: str,
+        points: np.ndarray,
+        faces: np.ndarray,
+        material: Material,
+        *,
+        normals: np.ndarray | None = None,
+        emission: Color = BLACK,
+    ) -> None:
+        """Add an object.
+
+        Parameters
+        ----------
+        name : as the file has it.
+        points, faces : (V, 3) and (F, 3).
+        material : of its surface; with emission black, whatever it is.
+        normals : (V, 3) shading normals of any length above 0, or None.
+        emission : radiance.
+        """
+        try:
+            mesh = Mesh.from_arrays(points, faces)
+        except ValueError as error:
+            raise FileError(f"{self.path}: {name}: {error}") from None
+        if any(emission):
+            if any(material.color) or material.gloss > 0.0:
+                self.instead(name, "a lamp that reflects", "a black one")
+        elif normals is not None:
+            mesh = self._smooth(name, mesh, normals)
+        self.objects.append(Object(self.name(name), mesh, material, emission))
+
+    def _smooth(self, name: str, mesh: Mesh, normals: np.ndarray) -> Mesh:
+        """The mesh with shading normals, or as it is where they are those of its faces."""
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        used = np.unique(mesh.faces)
+        if not (length[used] > 0.0).all():
+            raise FileError(f"{self.path}: {name}: normals: one has no length: allowed are unit vectors")
+        unit = np.divide(normals, length, out=np.zeros_like(mesh.vertices), where=length > 0.0)
+        corners = mesh.vertices[mesh.faces]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        size = np.linalg.norm(across, axis=1)
+        across = across[size > 0.0] / size[size > 0.0, None]
+        cosines = np.einsum("fkc,fc->fk", unit[mesh.faces[size > 0.0]], across)
+        if (cosines > 1.0 - _FLAT).all():
+            return mesh
+        if cosines.mean() < 0.0:
+            self.instead(name, "normals that point through their faces", "those of the faces")
+            return mesh
+        return attrs.evolve(mesh, normals=unit.astype(np.float32).astype(np.float64))
+
+    def scene(self) -> Scene:
+        """The whole; lamps are in the picture, for other renderers show them."""
+        bounds = self._bounds()
+        extent = float(np.max(bounds[1] - bounds[0])) or 1.0
+        if not self.objects:
+            raise FileError(f"{self.path}: holds no surface: allowed is a scene with at least one triangle")
+        width, height = self.resolution or (LONGEST, LONGEST)
+        if self.camera is None:
+            self.camera = _framing(*bounds)
+            self.assume("a camera that sees all of it, z up, for the file has none")
+        sky = self.sky or Sky()
+        if self.sky is None and not self.lights and not any(thing.emits for thing in self.objects):
+            sky = Sky(color=_WHITE)
+            self.assume("a constant sky of radiance 1, for the file has no light")
+        return Scene(
+            self.path.stem,
+            self.camera,
+            tuple(self.objects),
+            tuple(self.lights),
+            ambient=Ambient(_mean(sky)),
+            sky=sky,
+            photons=Photons(radius=extent / _DENSEST),
+            resolution=(width, height),
+            draw_lights=True,
+            substitutions=tuple(self.substitutions),
+        )
+
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        places = [thing.mesh.vertices for thing in self.objects] or [np.zeros((1, 3))]
+        return np.min([each.min(axis=0) for each in places], axis=0), np.max(
+            [each.max(axis=0) for each in places], axis=0
+        )
+
+    def clipped(self, camera: Camera, near: float, far: float) -> None:
+        """Note where a camera's planes would, or might, cut geometry off."""
+        from trimesh import triangles  # takes seconds to load
+
+        _, _, forward = camera.frame()
+        width, height = self.resolution or (1, 1)
+        across = np.tan(np.radians(camera.fov) / 2.0)
+        corner = near * np.hypot(1.0, across * np.hypot(1.0, height / width))
+        for thing in self.objects:
+            corners = thing.mesh.vertices[thing.mesh.faces]
+            there = np.broadcast_to(np.asarray(camera.position), (len(corners), 3))
+            apart = np.linalg.norm(triangles.closest_point(corners, there) - there, axis=1)
+            if apart.min() < corner or ((thing.mesh.vertices - camera.position) @ forward).max() > far:
+                planes = f"planes at {near:g} and {far:g}, between which not all of {thing.name} is"
+                self.instead("camera", planes, "one that cuts nothing off")
+
+
+def coated(color: Any, *, metallic: float, f0: float, roughness: float) -> Material:
+    """Our nearest to a metal mixed with a dielectric over a Lambertian base, equal to it at normal incidence.
+
+    There it reflects `(1 - m) F0 + m c` by the lobe and `(1 - m) (1 - F0) c` by the base.
+
+    Parameters
+    ----------
+    color : c, three numbers.
+    metallic : m, share of the metal.
+    f0 : F0 of the dielectric.
+    roughness : alpha.
+    """
+    gloss = 1.0 - (1.0 - metallic) * (1.0 - f0)
+    lobe = [((1.0 - metallic) * f0 + metallic * c) / gloss if gloss > 0.0 else 0.0 for c in color]
+    return Material(tuple(color), gloss, float(np.clip(roughness, MIRROR, 1.5)), tuple(lobe))
+
+
+def look(position: Any, forward: Any, up: Any, fov: float) -> Camera:
+    """A camera by its directions, `fov` in degrees across the width."""
+    position = np.asarray(position, float)
+    return Camera(tuple(position), tuple(position + np.asarray(forward, float)), tuple(np.asarray(up, float)), fov)
+
+
+def _framing(low: np.ndarray, high: np.ndarray) -> Camera:
+    """A camera in front, to the right and above of the ball about a box, which it sees whole."""
+    radius = float(np.linalg.norm(high - low)) / 2.0 or 1.0
+    fov, direction = 40.0, np.array([0.4, -0.8, 0.45])
+    centre = (low + high) / 2.0
+    away = radius / np.sin(np.radians(fov / 2.0)) / np.linalg.norm(direction)
+    return look(centre + away * direction, -direction, (0.0, 0.0, 1.0), fov)
+
+
+def _mean(sky: Sky) -> Color:
+    """Radiance of a sky, mean over all directions: the ambient light that stands for it in the paper's terms."""
+    if sky.texture is None:
+        return sky.color
+    rows = sky.texture.mean(axis=1, dtype=np.float64)
+    if sky.projection == "lat-long":
+        weight = np.sin(np.pi * (np.arange(len(rows)) + 0.5) / len(rows))
+        red, green, blue = (weight @ rows / weight.sum()).tolist()
+    else:
+        red, green, blue = rows.mean(axis=0).tolist()
+    return red, green, blue

@@ -1,0 +1,256 @@
+"""Mitsuba's XML read as a scene: what Mitsuba renders of the file itself is what the scene's own references are."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from termwise import reference
+from termwise.reference import backend, scene_xml
+from termwise.scenes.exchange import neutral
+from termwise.scenes.limits import physical
+from termwise.scenes.load import load
+from termwise.scenes.model import Scene
+from termwise.scenes.strict import FileError
+from tests.scenes import small
+
+TWO = '<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="{}"/></bsdf></bsdf>'
+CAMERA = """
+<sensor type="perspective" id="cam">
+  <float name="fov" value="34"/><string name="fov_axis" value="y"/>
+  <transform name="to_world"><lookat origin="1, 3, 5" target="0.1, 0, 0.5" up="0.1, 1, 0"/></transform>
+  <film type="hdrfilm">
+    <integer name="width" value="24"/><integer name="height" value="16"/>
+    <rfilter type="box"/><string name="component_format" value="float32"/><string name="pixel_format" value="rgb"/>
+  </film>
+</sensor>"""
+FLOOR = f"""
+<shape type="rectangle" id="floor">
+  <transform name="to_world"><scale value="60"/><rotate x="1" angle="-90"/></transform>{TWO.format("0.6 0.5 0.3")}
+</shape>"""
+SCENE = f"""<scene version="3.0.0">
+<default name="bright" value="4"/>
+<integrator type="path"><integer name="max_depth" value="-1"/></integrator>
+{CAMERA}{FLOOR}
+<shape type="cube" id="cube">
+  <transform name="to_world"><scale x="0.4" y="0.5" z="0.6"/><rotate y="1" angle="20"/><translate y="0.6"/></transform>
+  {TWO.format("0.2 0.5 0.8")}
+</shape>
+<shape type="obj" id="shard">
+  <string name="filename" value="shard.obj"/><boolean name="face_normals" value="true"/>
+  <transform name="to_world"><scale x="-1"/><translate x="1.2" y="0.3"/></transform>{TWO.format("0.9 0.9 0.2")}
+</shape>
+<shape type="rectangle" id="lamp">
+  <transform name="to_world"><rotate x="1" angle="-90"/><scale value="0.7"/><translate x="-1" y="4" z="1"/></transform>
+  <boolean name="flip_normals" value="true"/>{TWO.format("0 0 0")}
+  <emitter type="area"><rgb name="radiance" value="9 8 $bright"/></emitter>
+</shape>
+<emitter type="point"><point name="position" x="2" y="2" z="1"/><rgb name="intensity" value="3 4 5"/></emitter>
+<emitter type="constant"><rgb name="radiance" value="0.1 0.2 0.3"/></emitter>
+</scene>"""
+
+
+def written(folder: Path, text: str) -> Path:
+    trimesh.Trimesh([[-0.4, 0, 0], [0.6, 0, 0.2], [0, 0.9, 0]], [[0, 1, 2]]).export(folder / "shard.obj")
+    (folder / "scene.xml").write_text(text)
+    return folder / "scene.xml"
+
+
+@pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="a million paths, one by one")
+def test_the_scene_is_what_mitsuba_renders(tmp_path: Path):
+    path, count, spp = written(tmp_path, SCENE), 8, 128
+    scene = load(path)
+    assert scene.substitutions == ()
+    limit = reference.shared(scene, physical("direct"))
+    ours = np.array(
+        [
+            np.sum(list(reference.replicate_parts(scene, limit, spp=spp, seed=1, replicate=k).values()), axis=0)
+            for k in range(count)
+        ]
+    )
+    mi = backend.import_mitsuba()
+    loaded = mi.load_file(str(path))
+    theirs = np.array([np.array(mi.render(loaded, spp=spp, seed=k)) for k in range(count)], np.float64)
+    means = [images.reshape(count, 2, 8, 3, 8, 3).mean(axis=(2, 4)) for images in (ours, theirs)]
+    error = np.sqrt(sum(each.var(axis=0, ddof=1) for each in means) / count)
+    expected = means[1].mean(axis=0)
+    assert (np.abs(means[0].mean(axis=0) - expected) < 5 * error).all()
+    assert (error < 0.02 * expected).all()
+
+
+def test_names_numbers_and_size_are_those_of_the_file(tmp_path: Path):
+    scene = load(written(tmp_path, SCENE))
+    assert [thing.name for thing in scene.objects] == ["floor", "cube", "shard", "lamp"]
+    assert scene.resolution == (24, 16)
+    assert scene.objects[1].material.color == (0.2, 0.5, 0.8)
+    assert scene.objects[3].emission == (9.0, 8.0, 4.0)
+    assert (scene.lights[0].position, scene.lights[0].intensity) == ((2.0, 2.0, 1.0), (3.0, 4.0, 5.0))
+    assert scene.sky.color == scene.ambient.color == (0.1, 0.2, 0.3)
+
+
+@pytest.mark.parametrize("name", ["cornell_box", "smooth_monkey"])
+def test_an_export_comes_back(name: str, tmp_path: Path):
+    given = neutral.diffuse(small(name, 40, 30))
+    scene_xml.write(given, tmp_path / "there.xml")
+    found = load(tmp_path / "there.xml")
+    assert found.substitutions == ()
+    for mine, theirs in zip(found.objects, given.objects, strict=True):
+        assert (mine.name, mine.emission, mine.surface.color) == (theirs.name, theirs.emission, theirs.surface.color)
+        np.testing.assert_array_equal(mine.mesh.vertices[mine.mesh.faces], theirs.mesh.vertices[theirs.mesh.faces])
+        assert (mine.mesh.normals is None) == (theirs.mesh.normals is None)
+    film = np.random.default_rng(1).random((20, 2))
+    expected = given.camera.rays(film, aspect=given.aspect)
+    np.testing.assert_allclose(found.camera.rays(film, aspect=found.aspect), expected, atol=1e-6)
+
+
+def test_gloss_comes_back_listed(tmp_path: Path):
+    given = small("cornell_box")
+    scene_xml.write(given, tmp_path / "there.xml")
+    with pytest.raises(FileError, match="short block: roughconductor"):
+        load(tmp_path / "there.xml")
+    found = load(tmp_path / "there.xml", approximate=True)
+    for mine, theirs in zip(found.objects, given.objects, strict=True):
+        if theirs.material.gloss > 0:
+            for field in ("color", "gloss", "roughness", "f0"):
+                expected = getattr(theirs.material, field)
+                np.testing.assert_allclose(getattr(mine.material, field), expected, rtol=1e-6)
+
+
+def test_an_environment_is_where_mitsuba_has_it(tmp_path: Path):
+    scene_xml.write(small("two_cubes"), tmp_path / "there.xml")
+    found = load(tmp_path / "there.xml", approximate=True)
+    texture = found.sky.texture
+    assert texture is not None
+    sky = backend.import_mitsuba().load_file(str(tmp_path / "there.xml")).environment()
+    mi = backend.import_mitsuba()
+    n = np.random.default_rng(3).normal(size=(200, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    si = mi.SurfaceInteraction3f()
+    si.wi = mi.Vector3f(-n.T)
+    expected = np.array(sky.eval(si)).T
+    height, width = texture.shape[:2]
+    u = np.arctan2(n[:, 0], n[:, 1]) / (2 * np.pi) + 0.5
+    row, column = (np.arccos(n[:, 2]) / np.pi * height).astype(int), (u * width).astype(int) % width
+    np.testing.assert_allclose(texture[row, column], expected, rtol=0.05, atol=0.02)
+
+
+def test_a_texture_is_its_mean_and_a_round_shape_is_triangles(tmp_path: Path):
+    colors = '<rgb name="color0" value="0.1"/><rgb name="color1" value="0.5"/>'
+    board = f'<texture type="checkerboard" name="reflectance">{colors}</texture>'
+    surface = f'<bsdf type="twosided"><bsdf type="diffuse">{board}</bsdf></bsdf>'
+    ball = f'<shape type="sphere" id="ball"><float name="radius" value="2"/>{surface}</shape>'
+    found = load(written(tmp_path, f'<scene version="3.0.0">{ball}</scene>'), approximate=True)
+    assert found.objects[0].material.color == pytest.approx((0.3, 0.3, 0.3))
+    mesh = found.objects[0].mesh
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 2.0, rtol=1e-6)
+    assert mesh.normals is not None
+    np.testing.assert_allclose(mesh.normals, mesh.vertices / 2.0, atol=1e-6)
+    features = [line for line in found.substitutions if not line.startswith("assumed")]
+    assert any("checkerboard" in line for line in features)
+    assert any("5120 triangles" in line for line in features)
+
+
+def plain(inside: str) -> str:
+    return f'<scene version="3.0.0">{CAMERA}{FLOOR}{inside}</scene>'
+
+
+def swap(old: str, new: str) -> Callable[[], str]:
+    return lambda: plain("").replace(old, new)
+
+
+def disk(surface: str) -> Callable[[], str]:
+    return lambda: plain(f'<shape type="rectangle" id="plate">{surface}</shape>')
+
+
+# A file; the node and the feature of the message; whether something may stand for it.
+UNSAID: dict[str, tuple[Callable[[], str], str, str, bool]] = {
+    "one side": (disk('<bsdf type="diffuse"/>'), "plate", "diffuse on one side", True),
+    "glass": (disk('<bsdf type="dielectric" id="glass"/>'), "plate: bsdf glass", "dielectric", False),
+    "mirror": (disk('<bsdf type="twosided"><bsdf type="conductor"/></bsdf>'), "plate", "conductor (a mirror)", True),
+    "plastic": (disk('<bsdf type="twosided"><bsdf type="plastic"/></bsdf>'), "plate", "plastic", True),
+    "principled": (disk('<bsdf type="twosided"><bsdf type="principled"/></bsdf>'), "plate", "principled", True),
+    "mask": (disk('<bsdf type="mask"><bsdf type="diffuse"/></bsdf>'), "plate", "mask", False),
+    "curve": (lambda: plain('<shape type="cylinder" id="pipe"/>'), "pipe", "cylinder, a shape", False),
+    "round": (lambda: plain('<shape type="disk" id="coin"/>'), "coin", "disk", True),
+    "instances": (lambda: plain('<shape type="shapegroup" id="many"/>'), "many", "shapegroup", False),
+    "spot": (lambda: plain('<emitter type="spot" id="beam"/>'), "beam", "spot, a light", True),
+    "filter": (swap('type="box"', 'type="gaussian"'), "cam", "gaussian, a pixel filter", True),
+    "lens": (
+        swap('type="perspective" id="cam">', 'type="thinlens" id="cam"><float name="aperture_radius" value="0.1"/>'),
+        "cam",
+        "thinlens",
+        True,
+    ),
+    "orthographic": (
+        lambda: (
+            plain("")
+            .replace('"perspective"', '"orthographic"')
+            .replace('<float name="fov" value="34"/>', "")
+            .replace('<string name="fov_axis" value="y"/>', "")
+        ),
+        "cam",
+        "orthographic, a sensor",
+        False,
+    ),
+    "medium": (
+        lambda: plain('<shape type="cube" id="fog"><medium type="homogeneous" name="interior" id="smoke"/></shape>'),
+        "smoke",
+        "homogeneous, a medium",
+        False,
+    ),
+    "near plane": (
+        swap('<float name="fov"', '<float name="near_clip" value="9"/><float name="fov"'),
+        "camera",
+        "planes",
+        True,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNSAID)
+def test_what_the_model_cannot_say_is_refused_by_node_and_plugin(case: str, tmp_path: Path):
+    text, node, feature, allowed = UNSAID[case]
+    path = written(tmp_path, text())
+    with pytest.raises(FileError) as refused:
+        load(path)
+    message = str(refused.value)
+    assert message.startswith(f"{path}: {node}")
+    assert feature in message
+    assert "\n" not in message
+    assert ("--approximate" in message) == allowed
+    if allowed:
+        found = load(path, approximate=True)
+        assert any(line.startswith(node) and feature in line for line in found.substitutions)
+    else:
+        with pytest.raises(FileError):
+            load(path, approximate=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("<scene", "Mitsuba does not load it"),
+        ('<scene version="3.0.0"><shape type="ply"/></scene>', "Mitsuba does not load it"),
+        ('<bsdf type="diffuse" version="3.0.0"/>', "is no scene"),
+        ('<scene version="3.0.0"></scene>', "holds no surface"),
+    ],
+)
+def test_a_wrong_file_is_one_line(text: str, named: str, tmp_path: Path):
+    with pytest.raises(FileError, match=named) as refused:
+        load(written(tmp_path, text))
+    assert str(refused.value).startswith(str(tmp_path / "scene.xml"))
+    assert "\n" not in str(refused.value)
+
+
+def test_what_was_read_leaves_nothing_in_mitsuba(tmp_path: Path):
+    """Every plugin that exists would be compiled into every kernel of the references."""
+    found = load(written(tmp_path, SCENE))
+    assert isinstance(found, Scene)
+    import gc
+
+    mi = backend.import_mitsuba()
+    assert not [
+        each for each in gc.get_objects() if isinstance(each, mi.Scene | mi.BSDF) and type(each).__module__ == "mitsuba"
+    ]

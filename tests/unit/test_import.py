@@ -1,0 +1,344 @@
+"""Scenes of other renderers' files: what the model can say is read, all else is refused by name, or listed.
+
+GLB and OBJ are written by `termwise export` and by hand; Mitsuba's XML is in tests/oracle/test_from_xml.py.
+"""
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import attrs
+import numpy as np
+import PIL.Image
+import pytest
+import trimesh
+
+from termwise.reports.results.microscope import replay_command
+from termwise.reports.rows.described import describe
+from termwise.reports.study import subjects
+from termwise.reports.study.study import load as load_study
+from termwise.scenes.exchange import gltf, neutral, obj
+from termwise.scenes.exchange.imported import coated
+from termwise.scenes.load import load
+from termwise.scenes.model import Material, Scene
+from termwise.scenes.save import save
+from termwise.scenes.strict import FileError
+from tests.scenes import small
+
+
+def same_geometry(found: Scene, given: Scene) -> None:
+    assert [thing.name for thing in found.objects] == [thing.name for thing in given.objects]
+    for mine, theirs in zip(found.objects, given.objects, strict=True):
+        corners = theirs.mesh.vertices[theirs.mesh.faces]
+        np.testing.assert_array_equal(mine.mesh.vertices[mine.mesh.faces], corners)
+        if theirs.mesh.normals is None or theirs.emits:
+            assert mine.mesh.normals is None
+        else:
+            assert mine.mesh.normals is not None
+            shading = theirs.mesh.normals[theirs.mesh.faces]
+            np.testing.assert_allclose(mine.mesh.normals[mine.mesh.faces], shading, atol=1e-7)
+
+
+def same_camera(found: Scene, given: Scene) -> None:
+    film = np.random.default_rng(1).random((20, 2))
+    np.testing.assert_allclose(
+        found.camera.rays(film, aspect=found.aspect), given.camera.rays(film, aspect=given.aspect), atol=1e-12
+    )
+    np.testing.assert_allclose(found.camera.position, given.camera.position, atol=1e-12)
+
+
+LIBRARY = ("cornell_box", "monkey", "smooth_monkey", "two_cubes")
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_glb_comes_back_as_it_went(name: str, tmp_path: Path):
+    given = neutral.diffuse(small(name, 40, 30))
+    gltf.write(given, tmp_path / "there.glb")
+    found = load(tmp_path / "there.glb")
+    same_geometry(found, given)
+    same_camera(found, given)
+    assert found.resolution == (40, 30)
+    for mine, theirs in zip(found.objects, given.objects, strict=True):
+        np.testing.assert_allclose(mine.emission, theirs.emission, rtol=1e-12)
+        assert (mine.surface.color, mine.surface.gloss) == (theirs.surface.color, 0.0)
+    assert len(found.lights) == len(given.lights)
+    for mine, theirs in zip(found.lights, given.lights, strict=True):
+        np.testing.assert_allclose(mine.position, theirs.position)
+        np.testing.assert_allclose(mine.intensity, theirs.intensity, rtol=1e-12)
+    assert found.substitutions == ()
+    assert found.draw_lights
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_obj_comes_back_as_it_went(name: str, tmp_path: Path):
+    given = neutral.diffuse(small(name))
+    obj.write(given, tmp_path / "there.obj")
+    found = load(tmp_path / "there.obj")
+    same_geometry(found, given)
+    for mine, theirs in zip(found.objects, given.objects, strict=True):
+        assert (mine.surface.color, mine.surface.gloss) == (theirs.surface.color, 0.0)
+        assert mine.emission == theirs.emission
+    assert found.substitutions[0] == "assumed: a camera that sees all of it, z up, for the file has none"
+    assert any("constant sky" in line for line in found.substitutions) == (name.endswith("monkey"))
+    corners = np.concatenate([thing.mesh.vertices for thing in found.objects]) - found.camera.position
+    right, up, forward = found.camera.frame()
+    seen = np.stack([corners @ right, corners @ up], axis=1) / (corners @ forward)[:, None]
+    assert np.abs(seen).max() < np.tan(np.radians(found.camera.fov / 2.0))
+
+
+def test_gloss_comes_back_with_what_it_reflects_at_normal_incidence(tmp_path: Path):
+    material = Material((0.8, 0.3, 0.1), 0.25, 0.3, (0.9, 0.5, 0.3))
+    given = attrs.evolve(
+        small("monkey"), objects=tuple(attrs.evolve(thing, material=material) for thing in small("monkey").objects)
+    )
+    expected = 0.75 * np.array(material.color) + 0.25 * np.array(material.f0)
+    for module, digits in ((gltf, 1e-6), (obj, 1e-6)):
+        module.write(given, tmp_path / f"there{module.SUFFIX}")
+        with pytest.raises(FileError, match="--approximate takes Beckmann's"):
+            load(tmp_path / f"there{module.SUFFIX}")
+        found = load(tmp_path / f"there{module.SUFFIX}", approximate=True).objects[0].material
+        reflected = (1.0 - found.gloss) * np.array(found.color) + found.gloss * np.array(found.f0)
+        np.testing.assert_allclose(reflected, expected, rtol=digits)
+        assert found.roughness == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("metallic", [0.0, 0.3, 1.0])
+def test_a_coat_reflects_its_parts(metallic: float):
+    color = np.array([0.9, 0.4, 0.0])
+    found = coated(color.tolist(), metallic=metallic, f0=0.04, roughness=0.2)
+    lobe, base = found.gloss * np.array(found.f0), (1 - found.gloss) * np.array(found.color)
+    np.testing.assert_allclose(lobe, (1 - metallic) * 0.04 + metallic * color, atol=1e-15)
+    np.testing.assert_allclose(base, (1 - metallic) * 0.96 * color, atol=1e-15)
+
+
+# GLB by hand
+
+
+def changed(folder: Path, change: Callable[[dict[str, Any]], object], data: bytes = b"") -> Path:
+    """The monkey without gloss, its description changed and something put behind its numbers."""
+    gltf.write(neutral.diffuse(small("monkey")), folder / "plain.glb")
+    content = (folder / "plain.glb").read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    described = json.loads(content[20 : 20 + length])
+    binary = content[28 + length :] + data
+    described["buffers"][0]["byteLength"] = len(binary)
+    change(described)
+    text = json.dumps(described).encode()
+    text += b" " * (-len(text) % 4)
+    binary += b"\0" * (-len(binary) % 4)
+    body = len(text).to_bytes(4, "little") + b"JSON" + text + len(binary).to_bytes(4, "little") + b"BIN\0" + binary
+    head = b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little")
+    (folder / "changed.glb").write_bytes(head + body)
+    return folder / "changed.glb"
+
+
+def monkey(described: dict[str, Any]) -> dict[str, Any]:
+    return next(each for each in described["materials"] if each["name"] == "monkey")
+
+
+def light(described: dict[str, Any]) -> dict[str, Any]:
+    return described["extensions"]["KHR_lights_punctual"]["lights"][0]
+
+
+# What is changed; the node and the feature that the message names; whether something may stand for it.
+UNSAID: dict[str, tuple[Callable[[dict[str, Any]], object], str, str, bool]] = {
+    "one side": (lambda d: monkey(d).update(doubleSided=False), "material 'monkey'", "one side", True),
+    "metal": (lambda d: monkey(d)["pbrMetallicRoughness"].update(metallicFactor=0.5), "monkey", "metallic 0.5", True),
+    "dielectric": (lambda d: monkey(d).update(extensions={}), "monkey", "F0 0.04", True),
+    "clear coat": (
+        lambda d: monkey(d)["extensions"].update(KHR_materials_clearcoat={}),
+        "monkey",
+        "KHR_materials_clearcoat",
+        True,
+    ),
+    "unlit": (lambda d: monkey(d)["extensions"].update(KHR_materials_unlit={}), "monkey", "KHR_materials_unlit", False),
+    "blended": (lambda d: monkey(d).update(alphaMode="BLEND"), "monkey", "alphaMode BLEND", True),
+    "a lamp of two sides": (lambda d: monkey(d).update(emissiveFactor=[1, 0, 0]), "monkey", "two sides", True),
+    "normal map": (lambda d: monkey(d).update(normalTexture={"index": 0}), "monkey", "normalTexture", True),
+    "spot light": (lambda d: light(d).update(type="spot"), "light 0", "type spot", True),
+    "a light that ends": (lambda d: light(d).update(range=3.0), "light 0", "range 3.0", True),
+    "orthographic": (lambda d: d["cameras"][0].update(type="orthographic"), "camera", "type orthographic", False),
+    "a plane that cuts": (lambda d: d["cameras"][0]["perspective"].update(zfar=1.0), "camera", "planes at", True),
+    "animated": (lambda d: d.update(animations=[{}]), "animations", "1 of them", True),
+    "instances": (
+        lambda d: d["nodes"][1].update(extensions={"EXT_mesh_gpu_instancing": {}}),
+        "ground",
+        "EXT_mesh_gpu_instancing",
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNSAID)
+def test_what_the_model_cannot_say_is_refused_by_name_or_listed(case: str, tmp_path: Path):
+    change, node, feature, allowed = UNSAID[case]
+    path = changed(tmp_path, change)
+    with pytest.raises(FileError) as refused:
+        load(path)
+    message = str(refused.value)
+    assert message.startswith(f"{path}: ")
+    assert node in message
+    assert feature in message
+    assert "\n" not in message
+    assert ("--approximate" in message) == allowed
+    if not allowed:
+        with pytest.raises(FileError):
+            load(path, approximate=True)
+        return
+    found = load(path, approximate=True)
+    lines = [line for line in found.substitutions if feature in line]
+    assert lines
+    assert all(node in line for line in lines)
+    assert load(path, approximate=True).digest() == attrs.evolve(found, substitutions=()).digest()
+
+
+def test_a_texture_is_its_mean_in_linear_light(tmp_path: Path):
+    png = io.BytesIO()
+    texels = np.zeros((2, 2, 3), np.uint8)
+    texels[0] = [255, 188, 0]  # 188 is 0.503 in linear light
+    PIL.Image.fromarray(texels).save(png, "png")
+
+    def textured(described: dict[str, Any]) -> None:
+        begin = described["buffers"][0]["byteLength"] - len(png.getvalue())
+        described["bufferViews"].append({"buffer": 0, "byteOffset": begin, "byteLength": len(png.getvalue())})
+        described["images"] = [{"bufferView": len(described["bufferViews"]) - 1, "mimeType": "image/png"}]
+        described["textures"] = [{"source": 0}]
+        monkey(described)["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+
+    path = changed(tmp_path, textured, png.getvalue())
+    with pytest.raises(FileError, match="material 'monkey': baseColorTexture: .* --approximate takes its mean"):
+        load(path)
+    found = load(path, approximate=True)
+    np.testing.assert_allclose(found.objects[1].material.color, [0.8 * 0.5, 0.35 * 0.5029 / 2, 0.0], atol=1e-4)
+
+
+def test_a_mirrored_node_keeps_its_outside(tmp_path: Path):
+    def mirror(described: dict[str, Any]) -> None:
+        described["nodes"][2]["scale"] = [-1.0, 1.0, 1.0]
+
+    found, plain = load(changed(tmp_path, mirror)).objects[1].mesh, load(tmp_path / "plain.glb").objects[1].mesh
+    volumes = [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume for mesh in (found, plain)]
+    assert volumes[0] == pytest.approx(volumes[1])
+    np.testing.assert_allclose(found.vertices * [-1, 1, 1], plain.vertices)
+
+
+def test_what_a_file_leaves_open_is_assumed_and_listed(tmp_path: Path):
+    def bare(described: dict[str, Any]) -> None:
+        for node in described["nodes"]:
+            node.pop("camera", None)
+            node.pop("extensions", None)
+
+    found = load(changed(tmp_path, bare))
+    assert [line.partition(": ")[0] for line in found.substitutions] == ["assumed", "assumed"]
+    assert found.sky.color == found.ambient.color == (1.0, 1.0, 1.0)
+
+
+def test_normals_of_a_file_cannot_be_saved_and_nothing_is_written(tmp_path: Path):
+    scene = small("smooth_monkey")
+    mesh = scene.objects[1].mesh
+    assert mesh.normals is not None
+    tilted = np.array(mesh.normals) + [0.0, 0.0, 0.3]
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    own = attrs.evolve(scene.objects[1], mesh=attrs.evolve(mesh, normals=tilted.astype(np.float32).astype(float)))
+    gltf.write(neutral.diffuse(attrs.evolve(scene, objects=(own,))), tmp_path / "tilted.glb")
+    found = load(tmp_path / "tilted.glb")
+    read = found.objects[0].mesh.normals
+    assert read is not None
+    np.testing.assert_allclose(read, tilted, atol=1e-7)
+    with pytest.raises(ValueError, match="objects: 'monkey': normals are of another file"):
+        save(found, tmp_path / "saved.toml")
+    assert not list(tmp_path.glob("saved*"))
+
+
+def test_a_saved_scene_keeps_its_substitutions(tmp_path: Path):
+    found = load(changed(tmp_path, lambda d: light(d).update(range=3.0)), approximate=True)
+    save(found, tmp_path / "saved.toml")
+    assert load(tmp_path / "saved.toml").substitutions == found.substitutions != ()
+
+
+# OBJ by hand
+
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+OBJ_UNSAID = {
+    "glass": ("newmtl m\nKd 1 1 1\nillum 7\n", "illum 7"),
+    "thin": ("newmtl m\nKd 1 1 1\nd 0.5\n", "an opacity of 0.5"),
+    "thin by Tr": ("newmtl m\nKd 1 1 1\nTr 0.25\n", "an opacity of 0.75"),
+    "bumps": ("newmtl m\nKd 1 1 1\nbump a.png\n", "bump"),
+    "highlight": ("newmtl m\nKd 0.5 0.5 0.5\nKs 0.5 0.5 0.5\nNs 10\nillum 2\n", "Phong's lobe"),
+    "a lamp that reflects": ("newmtl m\nKd 1 1 1\nKe 2 2 2\n", "a lamp that reflects"),
+}
+
+
+def triangle(folder: Path, library: str, text: str = "mtllib a.mtl\nusemtl m\nf 1 2 3\n") -> Path:
+    (folder / "a.mtl").write_text(library)
+    (folder / "a.obj").write_text(TRIANGLE + text)
+    return folder / "a.obj"
+
+
+@pytest.mark.parametrize("case", OBJ_UNSAID)
+def test_what_mtl_says_beyond_the_model_is_refused_or_listed(case: str, tmp_path: Path):
+    library, feature = OBJ_UNSAID[case]
+    path = triangle(tmp_path, library)
+    with pytest.raises(FileError, match=f"a.obj: .*{feature}.* --approximate"):
+        load(path)
+    assert any(feature in line for line in load(path, approximate=True).substitutions)
+
+
+@pytest.mark.parametrize(
+    ("library", "text", "named"),
+    [
+        ("newmtl other\n", "mtllib a.mtl\nusemtl m\nf 1 2 3\n", "usemtl m: no such material: allowed are other"),
+        ("Kd 1 1 1\n", "mtllib a.mtl\nf 1 2 3\n", "line 1: 'Kd 1 1 1': stands before"),
+        ("newmtl m\nKd 1 1\n", "mtllib a.mtl\nusemtl m\nf 1 2 3\n", "line 2: 'Kd 1 1': allowed are numbers"),
+        ("newmtl m\nKd 2 2 2\n", "mtllib a.mtl\nusemtl m\nf 1 2 3\n", r"color = \(2.0, 2.0, 2.0\)"),
+        ("", "mtllib b.mtl\nf 1 2 3\n", "b.mtl: cannot be read"),
+        ("", "v 1 1 1\n", "holds no surface"),
+    ],
+)
+def test_a_wrong_obj_is_one_line(library: str, text: str, named: str, tmp_path: Path):
+    with pytest.raises(FileError, match=named) as refused:
+        load(triangle(tmp_path, library, text))
+    assert "\n" not in str(refused.value)
+    assert str(tmp_path) in str(refused.value)
+
+
+def test_objects_and_materials_of_obj_are_told_apart(tmp_path: Path):
+    text = "mtllib a.mtl\no one\nusemtl m\nf 1 2 3\nusemtl n\nv 0 0 1\nf 1 2 4\no two\nusemtl m\nf 1 2 3\n"
+    path = triangle(tmp_path, "newmtl m\nKd 0.1 0.2 0.3\nnewmtl n\nKd 0.3 0.3 0.3\n", text)
+    found = load(path)
+    assert [thing.name for thing in found.objects] == ["one: m", "one: n"]  # `two` is `one: m` again
+    assert [thing.material.color[0] for thing in found.objects] == [0.1, 0.3]
+
+
+# Wherever a scene is taken
+
+
+def test_a_study_takes_files_of_others(tmp_path: Path):
+    path = changed(tmp_path, lambda d: light(d).update(range=3.0))
+    study = load_study("quick")
+    with pytest.raises(FileError, match="range 3.0"):
+        subjects.scenes_of(study, (str(path),))
+    (scene,) = subjects.scenes_of(study, (str(path),), approximate=True)
+    assert (scene.name, scene.resolution) == ("changed", study.resolution)
+    assert len(scene.substitutions) == 1
+    described = describe(study, next(subjects.subjects(study, (scene,))), [])
+    assert described["substitutions"] == [*scene.substitutions]
+
+
+def test_a_replay_is_told_to_approximate():
+    row = {"scene": "changed", "term": "direct", "variant": "path"}
+    found: Any = SimpleNamespace(pixel=(1, 2), replicate=3)
+    arguments = {"study": "quick", "scenes": {"changed": "changed.glb"}, "approximate": True}
+    command = replay_command({"settings": {"arguments": arguments, "study": "quick"}}, row, found)
+    assert command.endswith("--approximate")
+    assert "--scene changed.glb" in command
+
+
+def test_a_name_that_no_reader_knows_is_answered_with_those_that_are_known(tmp_path: Path):
+    with pytest.raises(FileError, match=r"\.toml, \.glb, \.obj or \.xml"):
+        load(tmp_path / "scene.usd")
+    with pytest.raises(FileError, match="no such file"):
+        load(tmp_path / "scene.glb")
