@@ -15,7 +15,17 @@ import numpy as np
 
 from termwise.reference import backend
 from termwise.scenes.exchange.imported import MIRROR, Import, coated, look
-from termwise.scenes.model import BLACK, BLACK_SURFACE, Color, Material, PointLight, Scene, Sky
+from termwise.scenes.model import (
+    BLACK,
+    BLACK_SURFACE,
+    Color,
+    DirectionalLight,
+    Material,
+    PointLight,
+    Scene,
+    Sky,
+    SpotLight,
+)
 from termwise.scenes.strict import FileError
 
 _SPHERE, _DISK = 4, 128
@@ -348,6 +358,17 @@ def _emitter(mi: Any, found: Import, node: _Node, made: Any) -> None:
         place = np.array(node.properties.get("position", (0.0, 0.0, 0.0)), np.float64).ravel()
         intensity = _color(mi.traverse(made)["intensity.value"])
         found.lights.append(PointLight(tuple(_placed(_matrix(node), place).tolist()), intensity))
+    elif node.plugin == "spot":
+        if (texture := node.textured("texture")) is not None:
+            found.instead(node.name, f"{texture}, a texture of a spot light", "none")
+        matrix, cutoff = _matrix(node), node.properties.get("cutoff_angle", 20.0)
+        place, target = matrix[:3, 3], matrix[:3, 3] + matrix[:3, 2]
+        intensity = _color(mi.traverse(made)["intensity.value"])
+        beam = node.properties.get("beam_width", 0.75 * cutoff)
+        found.lights.append(SpotLight(tuple(place.tolist()), tuple(target.tolist()), intensity, cutoff, beam))
+    elif node.plugin == "directional":
+        way = np.array(node.properties.get("direction", _matrix(node)[:3, 2]), np.float64).ravel()
+        found.lights.append(DirectionalLight(tuple(way.tolist()), _color(mi.traverse(made)["irradiance.value"])))
     elif node.plugin == "constant":
         found.sky = Sky(color=_color(_toward(mi, made, np.array([[0.0, 0.0, 1.0]]))))
     elif node.plugin == "envmap":

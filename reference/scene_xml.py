@@ -48,7 +48,7 @@ def write(scene: Scene, path: Path) -> list[str]:
         name = f"{number:02d}.ply"
         write_atomically(files / name, lambda temporary, mesh=mesh: translate.write_ply(temporary, mesh, _HERE))
         shapes[names[number]] = _shape(said, f"{files.name}/{name}")
-    lights = {f"light: {number}": _point(light) for number, light in enumerate(described["lights"])}
+    lights = {f"light: {number}": _light(mi, light) for number, light in enumerate(described["lights"])}
     if described["sky"] is not None and described["sky"]["type"] == "image":
         texels = panorama.latitude_longitude(scene.sky, scene.camera.position)
         write_atomically(files / "sky.exr", lambda temporary: openexr.write(temporary, texels))
@@ -78,6 +78,11 @@ def left_out(described: dict[str, Any]) -> list[str]:
         "a dielectric of the same f0, not Schlick's, and a rational approximation of Smith's masking"
         for thing in described["objects"]
         if thing["material"]["gloss"] > 0.0
+    ]
+    found += [
+        f"lights[{number}]: sun: a directional light without a disc"
+        for number, light in enumerate(described["lights"])
+        if light["type"] == "sun"
     ]
     if described["sky"] is not None and described["sky"]["type"] == "image":
         found.append("sky: resampled as the camera sees it, and infinitely far")
@@ -153,7 +158,22 @@ def _bsdf(material: dict[str, Any]) -> dict[str, Any]:
     return {"type": "blendbsdf", "weight": material["gloss"], "first": diffuse, "second": lobe}
 
 
-def _point(light: dict[str, Any]) -> dict[str, Any]:
+def _light(mi: Any, light: dict[str, Any]) -> dict[str, Any]:
+    if light["type"] in ("directional", "sun"):
+        return {"type": "directional", "direction": light["direction"], "irradiance": _rgb(light["irradiance"])}
+    if light["type"] == "spot":
+        way = np.array(light["axis"])
+        return {
+            "type": "spot",
+            "intensity": _rgb(light["intensity"]),
+            "beam_width": light["beam"],
+            "cutoff_angle": light["cutoff"],
+            "to_world": mi.ScalarTransform4f().look_at(
+                origin=light["position"],
+                target=(light["position"] + way).tolist(),
+                up=np.eye(3)[np.argmin(np.abs(way))].tolist(),
+            ),
+        }
     return {"type": "point", "position": light["position"], "intensity": _rgb(light["intensity"])}
 
 

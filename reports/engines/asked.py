@@ -70,6 +70,10 @@ class Asked:
         return state.hexdigest()
 
 
+def _lit_by(described: dict[str, Any], kind: str) -> bool:
+    return any(light["type"] == kind for light in described["lights"])
+
+
 FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
     "diffuse": lambda d: any(any(o["material"]["color"]) and o["material"]["gloss"] < 1 for o in d["objects"]),
     "glossy": lambda d: any(o["material"]["gloss"] > 0 for o in d["objects"]),
@@ -78,7 +82,10 @@ FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
     "reflecting-lamp": lambda d: any(
         any(o["emission"]) and (any(o["material"]["color"]) or o["material"]["gloss"] > 0) for o in d["objects"]
     ),
-    "point": lambda d: any(light["type"] == "point" for light in d["lights"]),
+    "point": lambda d: _lit_by(d, "point"),
+    "spot": lambda d: _lit_by(d, "spot"),
+    "directional": lambda d: _lit_by(d, "directional"),
+    "sun": lambda d: _lit_by(d, "sun"),
     "constant-sky": lambda d: d["sky"] is not None and d["sky"]["type"] == "constant",
     "image-sky": lambda d: d["sky"] is not None and d["sky"]["type"] == "image",
 }

@@ -26,7 +26,19 @@ from termwise.scenes.strict import FileError
 
 SHIPPED = Path(__file__).parent / "shipped"
 Format = Literal["neutral", "mitsuba", "termwise"]
-Feature = Literal["diffuse", "glossy", "smooth", "area", "reflecting-lamp", "point", "constant-sky", "image-sky"]
+Feature = Literal[
+    "diffuse",
+    "glossy",
+    "smooth",
+    "area",
+    "reflecting-lamp",
+    "point",
+    "spot",
+    "directional",
+    "sun",
+    "constant-sky",
+    "image-sky",
+]
 """What a scene may need; see `asked.FEATURES`."""
 PLACES = ("python", "here", "scene", "output", "folder", "spp", "seed", "depth", "threads")
 """What a command may name in braces."""

@@ -14,7 +14,7 @@ import PIL.Image
 
 from termwise.scenes.exchange.imported import LONGEST, Import, coated, look
 from termwise.scenes.meshes.glb import File, described
-from termwise.scenes.model import Color, Material, PointLight, Scene
+from termwise.scenes.model import Color, DirectionalLight, Material, PointLight, Scene, SpotLight
 
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _F0 = 0.04
@@ -157,17 +157,26 @@ def _mean(found: Import, file: File, name: str, feature: str, holder: Any, *, en
 
 
 def _light(found: Import, file: File, number: int, light: int) -> None:
-    """A point light, by the place of its node."""
+    """A light by the place of its node, which shines along its -z."""
     given = file.description["extensions"]["KHR_lights_punctual"]["lights"][light]
     name = _named("light", file.item("nodes", number), number)
-    if given["type"] != "point":
-        found.instead(name, f"a light of type {given['type']}", "none in its place")
-        return
     if "range" in given:
         found.instead(name, f"range {given['range']}, beyond which it ends", "a light without an end")
-    color = np.array(given.get("color", (1.0, 1.0, 1.0)), float) * given.get("intensity", 1.0)
-    position = _UP @ file.world(number)[:3, 3]
-    found.lights.append(PointLight(tuple(position.tolist()), tuple(color.tolist())))
+    color = tuple((np.array(given.get("color", (1.0, 1.0, 1.0)), float) * given.get("intensity", 1.0)).tolist())
+    world = _UP @ file.world(number)[:3]
+    position, way = tuple(world[:, 3].tolist()), -world[:, 2]
+    if given["type"] == "directional":
+        found.lights.append(DirectionalLight(tuple(way.tolist()), color))
+    elif given["type"] == "spot":
+        found.instead(name, "a spot light that falls with the square of a cosine", "one that falls with the angle")
+        cone = given.get("spot", {})
+        outer = math.degrees(cone.get("outerConeAngle", math.pi / 4.0))
+        inner = math.degrees(cone.get("innerConeAngle", 0.0))
+        found.lights.append(SpotLight(position, tuple((world[:, 3] + way).tolist()), color, outer, inner))
+    elif given["type"] == "point":
+        found.lights.append(PointLight(position, color))
+    else:
+        raise found.refuse(name, f"a light of type {given['type']}")
 
 
 def _camera(found: Import, file: File, number: int, camera: int) -> None:

@@ -60,10 +60,7 @@ def write(scene: Scene, path: Path) -> list[str]:
     if any(used.values()):
         found["extensionsUsed"] = sorted(name for name, there in used.items() if there)
     if lights:
-        kinds = [
-            {"type": "point", "name": node["name"], **_scaled(light["intensity"], "color", "intensity")}
-            for node, light in zip(lights, described["lights"], strict=True)
-        ]
+        kinds = [_kind(light) | {"name": node["name"]} for node, light in zip(lights, described["lights"], strict=True)]
         found["extensions"] = {"KHR_lights_punctual": {"lights": kinds}}
     write_atomically(path, lambda temporary: temporary.write_bytes(_glb(found, bytes(content.data))))
     return missing
@@ -83,6 +80,11 @@ def left_out(described: dict[str, Any]) -> list[str]:
             found.append(
                 f"objects: {thing['name']!r}: emission: a one-sided material, whose back glTF does not show, not black"
             )
+    for number, light in enumerate(described["lights"]):
+        if light["type"] == "spot":
+            found.append(f"lights[{number}]: spot: glTF's falls as the square of the cosine's way from cutoff to beam")
+        if light["type"] == "sun":
+            found.append(f"lights[{number}]: sun: a directional light without a disc")
     if described["sky"] is not None:
         found.append(f"sky: {described['sky']['type']}: glTF has none")
     found.append("film: glTF has no pixel filter: a box is meant")
@@ -167,12 +169,37 @@ def _scaled(value: list[float], color: str, factor: str) -> dict[str, Any]:
 
 
 def _light(number: int, light: dict[str, Any]) -> dict[str, Any]:
-    extension = {"KHR_lights_punctual": {"light": number}}
-    return {"name": f"light {number}", "translation": light["position"], "extensions": extension}
+    """The node of a light, which shines along its -z."""
+    node = {"name": f"light {number}", "extensions": {"KHR_lights_punctual": {"light": number}}}
+    position = light.get("position", [0.0, 0.0, 0.0])
+    if light["type"] == "point":
+        return node | {"translation": position}
+    way = np.array(light["axis"] if light["type"] == "spot" else light["direction"])
+    right = np.cross(way, np.eye(3)[np.argmin(np.abs(way))])
+    right /= np.linalg.norm(right)
+    frame = {
+        "right": right.tolist(),
+        "up": np.cross(right, way).tolist(),
+        "forward": way.tolist(),
+        "position": position,
+    }
+    return node | {"matrix": _frame(frame)}
+
+
+def _kind(light: dict[str, Any]) -> dict[str, Any]:
+    """What shines: candela of a point, lux of what is far."""
+    if light["type"] in ("directional", "sun"):
+        return {"type": "directional", **_scaled(light["irradiance"], "color", "intensity")}
+    found = {"type": light["type"], **_scaled(light["intensity"], "color", "intensity")}
+    if light["type"] == "spot":
+        outer = math.radians(light["cutoff"])
+        inner = min(math.radians(light["beam"]), np.nextafter(outer, 0.0).item())  # glTF wants it to be less
+        found["spot"] = {"innerConeAngle": inner, "outerConeAngle": outer}
+    return found
 
 
 def _frame(camera: dict[str, Any]) -> list[float]:
-    """Columns of the camera's matrix: it looks along its -z, y up."""
+    """Columns of a camera's matrix, or a light's: it looks along its -z, y up."""
     back = [-component for component in camera["forward"]]
     return [*camera["right"], 0.0, *camera["up"], 0.0, *back, 0.0, *camera["position"], 1.0]
 

@@ -11,7 +11,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from termwise.scenes.model import BLACK, Ambient, Camera, Color, Material, Mesh, Object, Photons, PointLight, Scene, Sky
+from termwise.scenes.model import BLACK, Ambient, Camera, Color, Light, Material, Mesh, Object, Photons, Scene, Sky
 from termwise.scenes.strict import FileError
 
 MIRROR = 0.01
@@ -39,7 +39,7 @@ class Import:
     approximate: bool
     substitutions: list[str] = attrs.Factory(list)
     objects: list[Object] = attrs.Factory(list)
-    lights: list[PointLight] = attrs.Factory(list)
+    lights: list[Light] = attrs.Factory(list)
     sky: Sky | None = None
     camera: Camera | None = None
     resolution: tuple[int, int] | None = None

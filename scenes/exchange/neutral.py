@@ -14,7 +14,18 @@ import attrs
 import numpy as np
 
 from termwise.scenes.images import openexr
-from termwise.scenes.model import Object, PointLight, Scene, Sky, SphereLight, shines
+from termwise.scenes.model import (
+    DirectionalLight,
+    Light,
+    Object,
+    PointLight,
+    Scene,
+    Sky,
+    SphereLight,
+    SpotLight,
+    SunLight,
+    shines,
+)
 from termwise.scenes.store import write_atomically
 
 FORMAT, VERSION = "termwise-neutral", 1
@@ -33,6 +44,11 @@ CONVENTIONS = {
     "emission": "radiance that leaves the front of the faces; the back of a lamp is black, and neither side reflects",
     "point": "intensity is radiant intensity, radiance x area, per steradian: a surface at distance d that faces the "
     "light has the irradiance intensity / d^2",
+    "spot": "a point light whose intensity is full up to the angle beam from its axis (degrees), falls linearly in the "
+    "angle to 0 at cutoff, and is 0 beyond",
+    "directional": "light that flies along direction: irradiance of a surface that faces it; it is not seen",
+    "sun": "a disc infinitely far, of the diameter angle (degrees) and radiance irradiance / (pi sin^2(angle / 2)), "
+    "the light of whose middle flies along direction",
     "sky": "radiance that comes from where a ray meets nothing; an image lies on a sphere, seen from within: "
     "n from its center to the ray's farther hit, u = atan2(n.x, n.y) / (2 pi) + 1/2, v = 1/2 - n.z / 2 (equal-area) or "
     "v = acos(n.z) / pi (lat-long), first row at v = 0; radius null: infinite, n is the ray's direction",
@@ -71,9 +87,7 @@ def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
         },
         "objects": [_object(scene, thing, lit) for thing in scene.objects],
         "lights": [
-            {"type": "point", "position": list(light.position), "intensity": list(light.intensity)}
-            for light in scene.lights
-            if lit and isinstance(light, PointLight) and shines(light)
+            _light(light) for light in scene.lights if lit and shines(light) and not isinstance(light, SphereLight)
         ],
         "sky": _sky(scene.sky, sky_file),
     }
@@ -94,6 +108,21 @@ def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
     }
 
 
+def _light(light: Light) -> dict[str, Any]:
+    """A light that is no object's, by its kind."""
+    match light:
+        case PointLight():
+            where = {"position": list(light.position)}
+        case SpotLight():
+            beam, cutoff = map(math.degrees, light.angles)
+            where = {"position": list(light.position), "axis": list(light.axis), "beam": beam, "cutoff": cutoff}
+        case DirectionalLight():
+            where = {"direction": list(light.way)}
+        case SunLight():
+            where = {"direction": list(light.way), "angle": light.angle}
+    return {"type": light.kind, **where, light.sends: list(getattr(light, light.sends))}
+
+
 def _sky(sky: Sky, file: str) -> dict[str, Any] | None:
     if sky.is_black:
         return None
@@ -112,13 +141,10 @@ def reach(scene: Scene) -> float:
 def left_out(scene: Scene) -> list[str]:
     """What a scene says and full light transport, as other renderers compute it, does not: field, value and why."""
     lamps = [thing.name for thing in scene.objects if thing.emits] if scene.has_lights else []
-    others = {
-        f"lights[{number}]": light
-        for number, light in enumerate(scene.lights)
-        if not isinstance(light, PointLight) and (isinstance(light, SphereLight) or scene.has_lights)
-    }
+    others = {f"lights[{number}]": light for number, light in enumerate(scene.lights) if isinstance(light, SphereLight)}
+    lamps += ["the sun" for light in scene.lights if isinstance(light, SunLight) and scene.has_lights and shines(light)]
     found = [
-        *((True, name, light, "it has points, and objects that shine, alone") for name, light in others.items()),
+        *((True, name, light, "spheres that shine are none of its lights") for name, light in others.items()),
         (any(scene.ambient.color), "ambient", scene.ambient.color, "the paper's ambient light is no light transport"),
         (scene.ambient.source == "sky", "ambient.source", "sky", "the sky lights all surfaces, and they each other"),
         (bool(lamps) and not scene.draw_lights, "draw_lights", False, f"the camera sees {', '.join(lamps)} shine"),

@@ -57,10 +57,7 @@ def left_out(described: dict[str, Any]) -> list[str]:
         for thing in described["objects"]
         if _named(thing["name"]) != thing["name"]
     ]
-    found += [
-        f"lights: point at {_row(light['position'])}, intensity {_row(light['intensity'])}: OBJ has none"
-        for light in described["lights"]
-    ]
+    found += [f"lights[{number}]: {_said(light)}: OBJ has none" for number, light in enumerate(described["lights"])]
     if described["sky"] is not None:
         found.append(f"sky: {described['sky']['type']}: OBJ has none")
     found += [
@@ -85,6 +82,16 @@ def material_names(objects: list[str]) -> list[str]:
             plain += "_"
         names.append(plain)
     return names
+
+
+def _said(light: dict[str, Any]) -> str:
+    """A light in words: its type, then its numbers by name."""
+    numbers = (
+        f"{name} {_row(value) if isinstance(value, list) else repr(value)}"
+        for name, value in light.items()
+        if name != "type"
+    )
+    return f"{light['type']}, {', '.join(numbers)}"
 
 
 def _named(name: str) -> str:

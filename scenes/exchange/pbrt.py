@@ -28,8 +28,7 @@ def write(scene: Scene, path: Path) -> list[str]:
     lines += [f"#   {' '.join(line.split())}" for line in missing]
     lines += _head(described, path)
     for light in described["lights"]:
-        place = _values(light["position"])
-        lines.append(f'LightSource "point" "rgb I" [ {_values(light["intensity"])} ] "point3 from" [ {place} ]')
+        lines.append(_light(light))
     sky = described["sky"]
     if sky is not None and sky["type"] == "constant":
         lines.append(f'LightSource "infinite" "rgb L" [ {_values(sky["radiance"])} ]')
@@ -56,6 +55,11 @@ def left_out(described: dict[str, Any]) -> list[str]:
         found.append(
             "objects: color: pbrt makes smooth spectra of them, whose product is not the product of the colours"
         )
+    for number, light in enumerate(described["lights"]):
+        if light["type"] == "spot":
+            found.append(f"lights[{number}]: spot: pbrt's falls as a smooth step of the cosine from beam to cutoff")
+        if light["type"] == "sun":
+            found.append(f"lights[{number}]: sun: a distant light without a disc")
     if described["sky"] is not None and described["sky"]["type"] == "image":
         found.append("sky: resampled as the camera sees it, and infinitely far: texels of pbrt's are not interpolated")
     return found
@@ -83,6 +87,20 @@ def _head(described: dict[str, Any], path: Path) -> list[str]:
         "WorldBegin",
         "",
     ]
+
+
+def _light(light: dict[str, Any]) -> str:
+    if light["type"] in ("directional", "sun"):
+        back = [-component for component in light["direction"]]
+        source = f'LightSource "distant" "rgb L" [ {_values(light["irradiance"])} ]'
+        return f'{source} "point3 from" [ {_values(back)} ] "point3 to" [ 0 0 0 ]'
+    source = f'LightSource "{light["type"]}" "rgb I" [ {_values(light["intensity"])} ]'
+    source += f' "point3 from" [ {_values(light["position"])} ]'
+    if light["type"] == "spot":
+        to = [p + a for p, a in zip(light["position"], light["axis"], strict=True)]
+        source += f' "point3 to" [ {_values(to)} ] "float coneangle" [ {light["cutoff"]!r} ]'
+        source += f' "float conedeltaangle" [ {light["cutoff"] - light["beam"]!r} ]'
+    return source
 
 
 def _object(thing: dict[str, Any]) -> list[str]:

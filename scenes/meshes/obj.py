@@ -11,7 +11,6 @@ from pathlib import Path
 
 import attrs
 import numpy as np
-import numpy as np
 
 from termwise.scenes.meshes.polygons import MeshError, triangulate
 from termwise.scenes.numerals import reals, wholes

@@ -12,7 +12,7 @@ from termwise.reference import backend, scene_xml
 from termwise.scenes.exchange import neutral
 from termwise.scenes.limits import physical
 from termwise.scenes.load import load
-from termwise.scenes.model import Scene
+from termwise.scenes.model import PointLight, Scene
 from termwise.scenes.strict import FileError
 from tests.scenes import small
 
@@ -48,6 +48,14 @@ SCENE = f"""<scene version="3.0.0">
   <emitter type="area"><rgb name="radiance" value="9 8 $bright"/></emitter>
 </shape>
 <emitter type="point"><point name="position" x="2" y="2" z="1"/><rgb name="intensity" value="3 4 5"/></emitter>
+<emitter type="spot">
+  <transform name="to_world"><lookat origin="-1, 3, 2" target="0.3, 0, 0.4" up="0, 1, 0"/></transform>
+  <float name="cutoff_angle" value="25"/><float name="beam_width" value="10"/>
+  <rgb name="intensity" value="9 3 1"/>
+</emitter>
+<emitter type="directional">
+  <vector name="direction" x="1" y="-1" z="-0.4"/><rgb name="irradiance" value="0.2 0.6 0.9"/>
+</emitter>
 <emitter type="constant"><rgb name="radiance" value="0.1 0.2 0.3"/></emitter>
 </scene>"""
 
@@ -86,7 +94,7 @@ def test_names_numbers_and_size_are_those_of_the_file(tmp_path: Path):
     assert scene.resolution == (24, 16)
     assert scene.objects[1].material.color == (0.2, 0.5, 0.8)
     assert scene.objects[3].emission == (9.0, 8.0, 4.0)
-    assert (scene.lights[0].position, scene.lights[0].intensity) == ((2.0, 2.0, 1.0), (3.0, 4.0, 5.0))
+    assert scene.lights[0] == PointLight((2.0, 2.0, 1.0), (3.0, 4.0, 5.0))
     assert scene.sky.color == scene.ambient.color == (0.1, 0.2, 0.3)
 
 
@@ -175,7 +183,12 @@ UNSAID: dict[str, tuple[Callable[[], str], str, str, bool]] = {
     "curve": (lambda: plain('<shape type="cylinder" id="pipe"/>'), "pipe", "cylinder, a shape", False),
     "round": (lambda: plain('<shape type="disk" id="coin"/>'), "coin", "disk", True),
     "instances": (lambda: plain('<shape type="shapegroup" id="many"/>'), "many", "shapegroup", False),
-    "spot": (lambda: plain('<emitter type="spot" id="beam"/>'), "beam", "spot, a light", True),
+    "projector": (
+        lambda: plain('<emitter type="projector" id="beam"><rgb name="irradiance" value="1"/></emitter>'),
+        "beam",
+        "projector, a light",
+        True,
+    ),
     "filter": (swap('type="box"', 'type="gaussian"'), "cam", "gaussian, a pixel filter", True),
     "lens": (
         swap('type="perspective" id="cam">', 'type="thinlens" id="cam"><float name="aperture_radius" value="0.1"/>'),

@@ -11,7 +11,7 @@ from termwise import reference
 from termwise.reference import backend, scene_xml
 from termwise.scenes.exchange import panorama
 from termwise.scenes.limits import physical
-from termwise.scenes.model import Camera, Material, Mesh, Object, PointLight, Scene, Sky
+from termwise.scenes.model import Camera, DirectionalLight, Material, Mesh, Object, PointLight, Scene, Sky, SpotLight
 
 
 def rectangle(name: str, height: float, half: float, *, down: bool = False, **options: object) -> Object:
@@ -31,7 +31,11 @@ def diffuse_scene(sky: Sky) -> Scene:
             Object("v1.5: box", Mesh.from_arrays(box.vertices + [0, 0, 0.6], box.faces), Material((0.2, 0.6, 0.9))),
             rectangle("lamp", 4.0, 0.5, down=True, emission=(9.0, 8.0, 1.0)),
         ),
-        (PointLight((1.0, -1.5, 2.0), (1.0, 3.0, 2.0)),),
+        (
+            PointLight((1.0, -1.5, 2.0), (1.0, 3.0, 2.0)),
+            SpotLight((-1.0, 1.5, 2.5), (0.2, 0.0, 0.0), (9.0, 4.0, 1.0), 25.0, 10.0),
+            DirectionalLight((0.3, 0.8, -1.0), (0.1, 0.4, 0.8)),
+        ),
         sky=sky,
         resolution=(16, 12),
         draw_lights=True,

@@ -165,7 +165,14 @@ def test_mtl_has_the_colours(tmp_path: Path):
     assert (values[2]["Kd"], values[2]["Ke"]) == ([0.0, 0.0, 0.0], [24.0, 0.3, 15.0])
     for line in missing:
         assert f"# {line}" in text
-    assert [line.partition(":")[0] for line in missing] == ["camera", "objects", "lights", "sky", "objects", "objects"]
+    assert [line.partition(":")[0] for line in missing] == [
+        "camera",
+        "objects",
+        "lights[0]",
+        "sky",
+        "objects",
+        "objects",
+    ]
 
 
 def test_materials_of_obj_have_names_of_their_own():
@@ -285,6 +292,20 @@ def test_pbrt_has_the_materials_and_lights(tmp_path: Path):
     lights = {arguments[0]: parameters for word, arguments, parameters in found if word == "LightSource"}
     assert lights["point"] == {"rgb I": [80.0, 72.0, 0.5], "point3 from": [-2.5, -3.5, 4.5]}
     assert lights["infinite"] == {"rgb L": [0.5, 0.25, 0.125]}
+
+
+def test_pbrt_has_lights_of_all_kinds(tmp_path: Path):
+    given = small("lights")
+    found = written(given, tmp_path)
+    lights = [(arguments[0], parameters) for word, arguments, parameters in found if word == "LightSource"]
+    assert [name for name, _ in lights] == ["point", "spot", "distant", "distant", "infinite"]
+    spot, sun = lights[1][1], lights[3][1]
+    assert (spot["float coneangle"], spot["rgb I"]) == ([16.0], [36.0, 34.0, 30.0])
+    np.testing.assert_allclose(spot["float conedeltaangle"], [5.0])
+    way = np.subtract(spot["point3 to"], spot["point3 from"])
+    np.testing.assert_allclose(way, given.lights[1].axis, atol=1e-12)  # type: ignore[union-attr]
+    assert sun["rgb L"] == [0.75, 0.62, 0.42]
+    np.testing.assert_allclose(np.negative(sun["point3 from"]), given.lights[3].way)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("size", [(40, 30), (30, 40)])

@@ -23,7 +23,7 @@ from termwise.reports.study.study import load as load_study
 from termwise.scenes.exchange import gltf, neutral, obj
 from termwise.scenes.exchange.imported import coated
 from termwise.scenes.load import load
-from termwise.scenes.model import Material, Scene
+from termwise.scenes.model import DirectionalLight, Material, PointLight, Scene, SpotLight, SunLight
 from termwise.scenes.save import save
 from termwise.scenes.strict import FileError
 from tests.scenes import small
@@ -66,6 +66,8 @@ def test_glb_comes_back_as_it_went(name: str, tmp_path: Path):
         assert (mine.surface.color, mine.surface.gloss) == (theirs.surface.color, 0.0)
     assert len(found.lights) == len(given.lights)
     for mine, theirs in zip(found.lights, given.lights, strict=True):
+        assert isinstance(mine, PointLight)
+        assert isinstance(theirs, PointLight)
         np.testing.assert_allclose(mine.position, theirs.position)
         np.testing.assert_allclose(mine.intensity, theirs.intensity, rtol=1e-12)
     assert found.substitutions == ()
@@ -114,6 +116,25 @@ def test_a_coat_reflects_its_parts(metallic: float):
     np.testing.assert_allclose(base, (1 - metallic) * 0.96 * color, atol=1e-15)
 
 
+def test_lights_of_all_kinds_go_through_glb(tmp_path: Path):
+    given = neutral.diffuse(small("lights"))
+    missing = gltf.write(given, tmp_path / "there.glb")
+    assert [line.partition(":")[0] for line in missing if line.startswith("lights")] == ["lights[1]", "lights[3]"]
+    found = load(tmp_path / "there.glb", approximate=True)
+    point, spot, directional, sun = found.lights
+    assert point == given.lights[0]
+    assert isinstance(given.lights[1], SpotLight)
+    assert isinstance(spot, SpotLight)
+    np.testing.assert_allclose(spot.axis, given.lights[1].axis, atol=1e-12)
+    np.testing.assert_allclose(spot.angles, np.radians([11.0, 16.0]))
+    assert (spot.position, spot.intensity) == (given.lights[1].position, given.lights[1].intensity)
+    for read, wrote in ((directional, given.lights[2]), (sun, given.lights[3])):
+        assert isinstance(read, DirectionalLight)
+        assert isinstance(wrote, DirectionalLight | SunLight)
+        np.testing.assert_allclose(read.way, wrote.way, atol=1e-12)
+        assert read.irradiance == wrote.irradiance
+
+
 # GLB by hand
 
 
@@ -158,7 +179,8 @@ UNSAID: dict[str, tuple[Callable[[dict[str, Any]], object], str, str, bool]] = {
     "blended": (lambda d: monkey(d).update(alphaMode="BLEND"), "monkey", "alphaMode BLEND", True),
     "a lamp of two sides": (lambda d: monkey(d).update(emissiveFactor=[1, 0, 0]), "monkey", "two sides", True),
     "normal map": (lambda d: monkey(d).update(normalTexture={"index": 0}), "monkey", "normalTexture", True),
-    "spot light": (lambda d: light(d).update(type="spot"), "light 0", "type spot", True),
+    "spot light": (lambda d: light(d).update(type="spot"), "light 0", "square of a cosine", True),
+    "an unknown light": (lambda d: light(d).update(type="disc"), "light 0", "type disc", False),
     "a light that ends": (lambda d: light(d).update(range=3.0), "light 0", "range 3.0", True),
     "orthographic": (lambda d: d["cameras"][0].update(type="orthographic"), "camera", "type orthographic", False),
     "a plane that cuts": (lambda d: d["cameras"][0]["perspective"].update(zfar=1.0), "camera", "planes at", True),

@@ -167,14 +167,14 @@ def test_a_file_or_a_folder_is_named(tmp_path: Path):
 
 
 def test_lights_that_it_has_no_word_for_are_named():
-    """All but points; a sphere that does not shine too, for it hides things. Engines are not asked for such a scene."""
+    """A sphere, one that does not shine too, for it hides things. Engines are not asked for such a scene."""
     scene = small("lights")
     described = describe(scene)
-    assert [light["type"] for light in described["lights"]] == ["point"]
-    names = ("lights[1] = SphereLight", "lights[2] = SpotLight", "lights[3] = DirectionalLight", "lights[4] = SunLight")
-    assert [line.partition("(")[0] for line in described["left_out"] if line.startswith("lights")] == list(names)
+    assert [light["type"] for light in described["lights"]] == ["point", "spot", "directional", "sun"]
+    names = ["lights[1] = SphereLight"]
+    assert [line.partition("(")[0] for line in described["left_out"] if line.startswith("lights")] == names
     dark = attrs.evolve(scene, toggles=attrs.evolve(scene.toggles, lighting=False))
-    assert [line.partition("(")[0] for line in left_out(dark) if line.startswith("lights")] == [names[0]]
+    assert [line.partition("(")[0] for line in left_out(dark) if line.startswith("lights")] == names
     absent = {row.absent for row in asked.rows(scene)}
     assert absent == {"it has a light of the kind 'sphere', which files for other renderers do not say"}
     points = attrs.evolve(scene, lights=scene.lights[:1], ambient=Ambient(source="sky"))
