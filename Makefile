@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane (each compiles kernels and renders) and of the audit: more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare variants view bench stress docs quick test audit lint format clean distclean
+.PHONY: help install compare variants view bench stress docs engines quick test audit lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -38,6 +38,9 @@ bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error,
 	@.venv/bin/termwise bench scaling --out $(OUT)
 	@.venv/bin/termwise bench reductions --out $(OUT)
 	@.venv/bin/termwise bench view --out $(OUT)
+
+engines: .venv/.installed ## Other renderers, each into an environment of its own: Cycles, LuxCore
+	@.venv/bin/python -m termwise.reports.engines.install
 
 stress: .venv/.installed ## Exact properties under hostile input, beside the paper's code and Mitsuba; OUT=out
 	@.venv/bin/termwise stress --out $(OUT)

@@ -15,14 +15,16 @@ if TYPE_CHECKING:
     from termwise.reference import render as reference
     from termwise.renderer import render
     from termwise.renderer.terms import register
+    from termwise.reports.judging.engines import engine
     from termwise.reports.judging.judge import judge
     from termwise.scenes.limits import Limit
     from termwise.scenes.load import load
 
-__all__ = ["Limit", "judge", "load", "reference", "register", "render"]
+__all__ = ["Limit", "engine", "judge", "load", "reference", "register", "render"]
 
 _HOMES = {
     "Limit": "scenes.limits",
+    "engine": "reports.judging.engines",
     "judge": "reports.judging.judge",
     "load": "scenes.load",
     "register": "renderer.terms",

@@ -63,10 +63,10 @@ def furnace(
 def compare(
     scenes: tuple[str, ...],
     engines: list[str],
+    study: str,
+    seed: int | None,
     *,
-    study: Any,
     spp: int | None,
-    threads: int | None,
     diffuse: bool,
     probe: bool,
     out: Path,
@@ -75,6 +75,7 @@ def compare(
 ) -> int:
     """`compare --engine`: all light and the terms of the study's scenes, by engines, against Mitsuba."""
     from termwise.reports.judging import engines as judging
+    from termwise.reports.study.study import load as study_of
     from termwise.reports.study.subjects import scenes_of
     from termwise.scenes.exchange import neutral
 
@@ -83,8 +84,11 @@ def compare(
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"engine: {name!r} is given twice: allowed are distinct names")
-    prepared = [neutral.diffuse(scene) if diffuse else scene for scene in scenes_of(study, scenes)]
-    how = judging.Asking(replicates=study.replicates, seed=study.seed, spp=spp, threads=threads, probed=probe)
+    chosen = study_of(study)
+    prepared = [neutral.diffuse(scene) if diffuse else scene for scene in scenes_of(chosen, scenes)]
+    how = judging.Asking(
+        replicates=chosen.replicates, seed=chosen.seed if seed is None else seed, spp=spp, probed=probe
+    )
     folder = terminal.folder(out / "engines")
     with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
         judged = judging.compare(
@@ -92,8 +96,8 @@ def compare(
             prepared,
             folder,
             how,
-            reference_spp=study.reference_spp,
-            reference_replicates=study.reference_replicates,
+            reference_spp=chosen.reference_spp,
+            reference_replicates=chosen.reference_replicates,
             command=terminal.command(),
             report=stage("Images"),
         )

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from termwise.reports import progress
 from termwise.reports.cli import terminal
+from termwise.reports.cli.engines import OneEngine
 from termwise.reports.cli.terminal import (
     Approximate,
     Backend,
@@ -39,11 +40,12 @@ def render(
     resolution: Resolution = None,
     adaptive: bool = False,
     approximate: Approximate = False,
+    engine: OneEngine = None,
     out: Path = Path("out"),
     quiet: Quiet = False,
     json_: Json = False,
 ) -> int:
-    """Render a scene, or one of its terms, into an OpenEXR file and a PNG picture.
+    """Render a scene, or one of its terms, into an OpenEXR file and a PNG picture; with --engine all of its light.
 
     Parameters
     ----------
@@ -61,11 +63,19 @@ def render(
     out
         Files go to OUT/render.
     """
-    from termwise import renderer
-
     described = terminal.scene(scene, resolution, approximate=approximate)
     terminal.check_seed(seed)
     folder = terminal.folder(out / "render")
+    if engine is not None:
+        if term is not None or variant or adaptive:
+            raise ValueError("engine: allowed without --term, --variant and --adaptive: an engine renders all light")
+        from termwise.reports.judging.engines import engine as other
+
+        found = other(engine).render(described, samples=samples, replicates=replicates, seed=seed, threads=threads)
+        settings = {"samples": samples, "replicates": replicates, "seed": seed, "engine": engine}
+        return _write_images(described, {"total": found}, folder, settings, json_)
+    from termwise import renderer
+
     terms = TERMS if term is None else (term,)
     variants = _variants(terms, variant or []) if term is None else _variant(term, variant or [])
     with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:

@@ -11,7 +11,9 @@ import attrs
 from cyclopts import Parameter
 
 from termwise.reports import progress
+from termwise.reports.cli import engines as others
 from termwise.reports.cli import terminal
+from termwise.reports.cli.engines import Engines, Probed, Samples
 from termwise.reports.cli.terminal import Approximate, Backend, Flag, Json, MaybeInteger, Quiet
 from termwise.scenes.strict import FileError
 
@@ -32,6 +34,10 @@ def compare(
     seed: MaybeInteger = None,
     approximate: Approximate = False,
     estimators: Path | None = None,
+    engine: Engines = None,
+    spp: Samples = None,
+    diffuse: Flag = False,
+    probe: Probed = True,
     workers: MaybeInteger = None,
     scheduler: str | None = None,
     out: Path = Path("out"),
@@ -41,6 +47,8 @@ def compare(
     json_: Json = False,
 ) -> int:
     """Render scenes with ours and with Mitsuba, judge every term, write the report.
+
+    With --engine other renderers take the place of ours: all their light is judged, and the terms that are scenes.
 
     Parameters
     ----------
@@ -55,6 +63,8 @@ def compare(
         Instead of the study's: the whole run again with other random numbers.
     estimators
         A Python file that calls `termwise.register`: what it registers is measured too.
+    diffuse
+        With --engine: every gloss is 0, which every renderer can say.
     workers
         Processes of this machine that render, by dask.distributed; without it threads of this process do.
     scheduler
@@ -64,6 +74,15 @@ def compare(
     single_file
         Write report.html too: all pages in one file, to mail.
     """
+    if engine:
+        given = {"budget": budget, "estimators": estimators, "workers": workers, "scheduler": scheduler}
+        for name, value in (given | {"single_file": single_file or None}).items():
+            if value is not None:
+                raise ValueError(f"{name}: allowed without --engine alone")
+        terminal.choose_backend(backend)
+        return others.compare(
+            scenes, engine, study, seed, spp=spp, diffuse=diffuse, probe=probe, out=out, quiet=quiet, json_=json_
+        )
     from termwise.reports import run
     from termwise.reports.pages import report as page
     from termwise.reports.study import study as studies

@@ -98,10 +98,10 @@ def lacking(engine: Engine, asked: Asked) -> str | None:
     needed = [name for name, needs in FEATURES.items() if needs(asked.described) and name not in says.supports]
     if needed:
         return f"the scene needs {', '.join(needed)}, which its file does not name in `supports`"
-    if asked.depth is not None and says.scene == "neutral" and not says.names("depth"):
+    if asked.depth is not None and says.scene not in ("mitsuba", "termwise") and not says.names("depth"):
         return "its command has no {depth}"
-    if asked.scene is None and says.scene == "termwise":
-        return "our scene files cannot say lamps that reflect"
+    if asked.scene is None and says.scene not in ("neutral", "mitsuba"):
+        return f"its format, {says.scene}, has no word for a lamp that reflects"
     return None
 
 

@@ -25,7 +25,7 @@ from termwise.scenes.store import cache_folder
 from termwise.scenes.strict import FileError
 
 SHIPPED = Path(__file__).parent / "shipped"
-Format = Literal["neutral", "mitsuba", "termwise"]
+Format = Literal["neutral", "mitsuba", "gltf", "pbrt", "obj", "termwise"]
 Feature = Literal[
     "diffuse",
     "glossy",
@@ -40,7 +40,7 @@ Feature = Literal[
     "image-sky",
 ]
 """What a scene may need; see `asked.FEATURES`."""
-PLACES = ("python", "here", "scene", "output", "folder", "spp", "seed", "depth", "threads")
+PLACES = ("python", "bin", "here", "scene", "output", "folder", "spp", "seed", "depth", "threads")
 """What a command may name in braces."""
 _PLACE = re.compile(r"\{([a-z_]+)\}")
 _VERSION_S = 120.0
@@ -61,7 +61,7 @@ def _command(engine: object, attribute: attrs.Attribute, value: tuple[str, ...])
 
 
 def _version(engine: object, attribute: attrs.Attribute, value: tuple[str, ...]) -> None:
-    _known(attribute, value, ("python", "here"))
+    _known(attribute, value, PLACES[:3])
 
 
 def _known(attribute: attrs.Attribute, words: tuple[str, ...], places: tuple[str, ...]) -> None:
@@ -86,7 +86,8 @@ class EngineFile:
     name : of its rows and messages; lower-case words joined by hyphens.
     command : the program and its arguments. A program with a slash in its name is looked for from the file's folder.
     version : a command whose first line of output is its version; without one its program's size and date stand for it.
-    scene : what `{scene}` is: the neutral JSON file, a Mitsuba XML file, or a scene file of ours.
+    scene : what `{scene}` is: the neutral JSON file; Mitsuba's XML, with samples, seed and depth in it; GLB, pbrt or
+        OBJ; a scene file of ours. See `formats`.
     supports : what it can render; a scene that needs more is ABSENT, with what it needs.
     output : the file that it writes, in `{folder}`, where it runs.
     layer : the one to read where a file has several of colour.
@@ -96,7 +97,8 @@ class EngineFile:
     depth : what `{depth}` is where light may scatter as often as it likes.
     seeds : "reproducible" where one seed gives one image; else "varying", as where threads race.
     noiseless : whether images have no noise, so that they may all be the same.
-    packages : what `make engines` installs for it, for pip; `{python}` is then the interpreter of that environment.
+    packages : what `make engines` installs for it, for pip; `{python}` is then the interpreter of that environment, and
+        `{bin}` the folder of its programs.
     files : others that decide its images, named from the file's folder.
     """
 
@@ -118,7 +120,7 @@ class EngineFile:
 
     def __attrs_post_init__(self) -> None:
         """Refuse a command whose images could not differ."""
-        if not self.noiseless and not self.names("seed"):
+        if not self.noiseless and not self.names("seed") and self.scene != "mitsuba":  # there the file holds it
             raise ValueError("command: lacks {seed}: allowed is a command that is given it, or noiseless = true")
 
     def names(self, place: str) -> bool:
@@ -157,6 +159,16 @@ class Engine:
         return self.says.environment / "bin" / "python" if self.says.packages else Path(sys.executable)
 
     @property
+    def stamp(self) -> Path:
+        """A file that is there where its environment is whole."""
+        return self.says.environment / ".installed"
+
+    @property
+    def installed(self) -> bool:
+        """Whether its environment is."""
+        return self.stamp.is_file()
+
+    @property
     def version(self) -> str:
         """As it prints it.
 
@@ -178,7 +190,7 @@ class Engine:
 
     def filled(self, words: tuple[str, ...], places: Mapping[str, object]) -> list[str]:
         """A command with what it is given in place of the names in braces."""
-        known = {"python": self.python, "here": self.path.parent, **places}
+        known = {"python": self.python, "bin": self.python.parent, "here": self.path.parent, **places}
         program, *others = (_PLACE.sub(lambda match: str(known[match[1]]), word) for word in words)
         if "/" in program and not os.path.isabs(program):
             program = str(self.path.parent / program)
@@ -213,9 +225,9 @@ def _adapter(engine: Engine) -> list[Path]:
 def _version_of(engine: Engine) -> str:
     """The first line that `version` prints; without it, its program's size and date."""
     says = engine.says
-    if says.packages and not engine.python.is_file():
+    if says.packages and not engine.installed:
         raise EngineError(f"{says.name}: is not installed: `make engines` puts it into {says.environment}")
-    program = engine.filled(says.command, dict.fromkeys(PLACES[2:], ""))[0]
+    program = engine.filled(says.command, dict.fromkeys(PLACES[3:], ""))[0]
     found = shutil.which(program)
     if found is None:
         raise EngineError(f"{says.name}: command: {program!r}: no such program is here, or it cannot be executed")

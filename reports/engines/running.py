@@ -77,7 +77,7 @@ def run(engine: Engine, asked: Asked, *, spp: int, seed: int, threads: int, kept
 def _run(engine: Engine, asked: Asked, folder: Path, *, spp: int, seed: int, threads: int) -> Ran:
     says = engine.says
     depth = says.depth if asked.depth is None else asked.depth
-    scene = formats.write(says.scene, asked, folder / "scene", depth=None if asked.depth is None else depth)
+    scene = formats.write(says.scene, asked, folder / "scene", depth=asked.depth, spp=spp, seed=seed)
     output = Path(says.output.replace("{folder}", str(folder)).replace("{seed}", str(seed)))
     command = engine.filled(
         says.command,

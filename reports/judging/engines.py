@@ -14,16 +14,19 @@ import numpy as np
 from termwise.reports.engines import asked as asking
 from termwise.reports.engines.asked import TOTAL, Asked, Row, lacking
 from termwise.reports.engines.engine import Engine, EngineError
+from termwise.reports.engines.engine import load as load_engine
 from termwise.reports.engines.furnaces import furnaces
-from termwise.reports.engines.probe import probe
+from termwise.reports.engines.probe import probe as check
 from termwise.reports.engines.replicates import Images, rendered
+from termwise.reports.judging.judge import Judgement, judge
 from termwise.reports.judging.suite import Case, Outcome, Unjudged, judge_all
 from termwise.reports.progress import Report, silent
 from termwise.scenes.arguments import whole
 from termwise.scenes.limits import Limit
+from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 from termwise.scenes.store import cache_folder
-from termwise.scenes.terms import total
+from termwise.scenes.terms import TermImage, total
 
 _LEAST = 4
 """Replicates that a comparison needs: an image without noise stands for so many."""
@@ -132,7 +135,7 @@ def case(engine: Engine, scene: Scene, how: Asking, *, progress: Callable[[], ob
     EngineError : the engine failed, or lacks what the scene needs.
     """
     if how.probed:
-        probe(engine, threads=_threads(how))
+        check(engine, threads=_threads(how))
     (_, part), *_ = asking.total(scene).parts
     images = [_rendered(engine, part, how, progress)]
     return _case(engine, scene.name, how, images, [1], {}, {})
@@ -157,6 +160,105 @@ def _rendered(engine: Engine, part: Asked, how: Asking, progress: Callable[[], o
     )
 
 
+@attrs.frozen
+class Renderer:
+    """A renderer of another kind, in Python.
+
+    Attributes
+    ----------
+    engine : what it is told by.
+    """
+
+    engine: Engine
+
+    def __repr__(self) -> str:
+        """Its name and its file, in a line."""
+        return f"<engine {self.engine.name}: {self.engine.path}>"
+
+    def render(
+        self,
+        scene: Scene | str | Path,
+        *,
+        samples: int | None = None,
+        replicates: int = 1,
+        seed: int = 0,
+        threads: int | None = None,
+        probe: bool = True,
+    ) -> TermImage:
+        """Render all light of a scene: what the camera sees of lamps and sky, and all that surfaces scatter.
+
+        Parameters
+        ----------
+        scene : a scene, the name of one of the library, or the path of a scene file.
+        samples : samples per pixel and replicate; None: those that the engine's file says.
+        replicates : images of other seeds; of an engine without noise one.
+        seed : in [0, 2^31 - 1]: names the seeds that the engine is given.
+        threads : None: one a core.
+        probe : whether the engine is probed before it is believed, once a version.
+
+        Returns
+        -------
+        The image, its variance and its replicates: radiance, linear Rec. 709, in the scene's unit.
+
+        Raises
+        ------
+        EngineError : the engine is not here, failed, or lacks what the scene needs; a `ValueError`.
+        """
+        how = Asking(
+            replicates=whole("replicates", replicates),
+            seed=whole("seed", seed, 0, 2**31 - 1),
+            spp=None if samples is None else whole("samples", samples),
+            threads=threads,
+            probed=probe,
+        )
+        if how.probed:
+            check(self.engine, threads=_threads(how))
+        (_, part), *_ = asking.total(load(scene)).parts
+        found = _rendered(self.engine, part, how)
+        samples, seconds = how.samples(self.engine), float(found.seconds.sum())
+        return TermImage.from_replicates(found.stack, samples=samples, seconds=seconds, keep=True)
+
+    def judge(
+        self,
+        scene: Scene | str | Path,
+        *,
+        samples: int | None = None,
+        replicates: int = 16,
+        reference_samples: int = 64,
+        seed: int = 1,
+        probe: bool = True,
+        **options: Any,
+    ) -> Judgement:
+        """Judge all light of a scene against Mitsuba's, objects by name.
+
+        Parameters
+        ----------
+        scene, samples, replicates, seed, probe : as for `render`; replicates and seed are of the reference too.
+        reference_samples : samples per pixel and replicate of the reference.
+        options : of `termwise.judge`.
+
+        Raises
+        ------
+        EngineError : as `render`.
+        """
+        found = load(scene)
+        how = Asking(replicates=enough(replicates), seed=seed, spp=samples, probed=probe)
+        ours = case(self.engine, found, how)
+        truth, places = against(found, spp=reference_samples, seed=seed, replicates=replicates)
+        judgement = judge(ours.images, truth, **(ours.options | places | options))
+        return attrs.evolve(judgement, settings=judgement.settings | ours.settings)
+
+
+def engine(engine: str | Path) -> Renderer:
+    """Another renderer, told by a TOML file: one that ships by name, or any by its path.
+
+    Raises
+    ------
+    FileError : a missing or malformed file, an unknown key, a value that is not allowed; a `ValueError`.
+    """
+    return Renderer(load_engine(engine))
+
+
 class _Family:
     """Cases as they come in."""
 
@@ -173,7 +275,7 @@ class _Family:
             try:
                 self.report(f"{engine.name}: probe", self._done, self._steps)
                 if self.how.probed:
-                    self.notes += [f"{engine.name}: {note}" for note in probe(engine, threads=_threads(self.how))]
+                    self.notes += [f"{engine.name}: {note}" for note in check(engine, threads=_threads(self.how))]
                 _ = engine.digest
             except EngineError as error:
                 self.unjudged.append(Unjudged(engine.name, "FAILED", str(error)))

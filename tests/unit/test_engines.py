@@ -87,7 +87,7 @@ def tiny() -> engines.Engine:
         ('command = ["render", "{seed}"]', "lacks {scene}"),
         ('command = ["render", "{scene}"]', "lacks {seed}"),
         ('command = ["render", "{scene}", "{seed}", "{sed}"]', "{sed}: allowed are {python}"),
-        ('version = ["render", "{scene}"]', "{scene}: allowed are {python}, {here}"),
+        ('version = ["render", "{scene}"]', "{scene}: allowed are {python}, {bin}, {here}"),
         ('output = "/etc/passwd"', "output = '/etc/passwd': allowed is a name in {folder}"),
         ('output = "{folder}/../x.exr"', "allowed is a name in {folder}"),
         ('supports = ["difuse"]', "supports[0] = 'difuse': allowed is 'diffuse'"),
