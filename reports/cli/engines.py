@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
+import attrs
 from cyclopts import Parameter
 
 from termwise.reports import progress
@@ -68,12 +69,14 @@ def compare(
     *,
     spp: int | None,
     diffuse: bool,
+    row: list[str] | None,
     probe: bool,
     out: Path,
     quiet: bool,
     json_: bool,
 ) -> int:
     """`compare --engine`: all light and the terms of the study's scenes, by engines, against Mitsuba."""
+    from termwise.reports.engines import asked
     from termwise.reports.judging import engines as judging
     from termwise.reports.study.study import load as study_of
     from termwise.reports.study.subjects import scenes_of
@@ -85,10 +88,9 @@ def compare(
         if names.count(name) > 1:
             raise ValueError(f"engine: {name!r} is given twice: allowed are distinct names")
     chosen = study_of(study)
+    chosen = chosen if seed is None else attrs.evolve(chosen, seed=seed)
     prepared = [neutral.diffuse(scene) if diffuse else scene for scene in scenes_of(chosen, scenes)]
-    how = judging.Asking(
-        replicates=chosen.replicates, seed=chosen.seed if seed is None else seed, spp=spp, probed=probe
-    )
+    how = judging.Asking(replicates=chosen.replicates, seed=chosen.seed, spp=spp, probed=probe)
     folder = terminal.folder(out / "engines")
     with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
         judged = judging.compare(
@@ -98,6 +100,7 @@ def compare(
             how,
             reference_spp=chosen.reference_spp,
             reference_replicates=chosen.reference_replicates,
+            only=tuple(row or asked.ROWS),
             command=terminal.command(),
             report=stage("Images"),
         )

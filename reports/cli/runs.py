@@ -14,7 +14,7 @@ from termwise.reports import progress
 from termwise.reports.cli import engines as others
 from termwise.reports.cli import terminal
 from termwise.reports.cli.engines import Engines, Probed, Samples
-from termwise.reports.cli.terminal import Approximate, Backend, Flag, Json, MaybeInteger, Quiet
+from termwise.reports.cli.terminal import Approximate, Backend, Flag, Json, MaybeInteger, Names, Quiet
 from termwise.scenes.strict import FileError
 
 
@@ -37,6 +37,7 @@ def compare(
     engine: Engines = None,
     spp: Samples = None,
     diffuse: Flag = False,
+    row: Names = None,
     probe: Probed = True,
     workers: MaybeInteger = None,
     scheduler: str | None = None,
@@ -65,6 +66,8 @@ def compare(
         A Python file that calls `termwise.register`: what it registers is measured too.
     diffuse
         With --engine: every gloss is 0, which every renderer can say.
+    row
+        With --engine: only these of total, ambient, direct (first hit), "direct all" (bounces).
     workers
         Processes of this machine that render, by dask.distributed; without it threads of this process do.
     scheduler
@@ -81,7 +84,17 @@ def compare(
                 raise ValueError(f"{name}: allowed without --engine alone")
         terminal.choose_backend(backend)
         return others.compare(
-            scenes, engine, study, seed, spp=spp, diffuse=diffuse, probe=probe, out=out, quiet=quiet, json_=json_
+            scenes,
+            engine,
+            study,
+            seed,
+            spp=spp,
+            diffuse=diffuse,
+            row=row,
+            probe=probe,
+            out=out,
+            quiet=quiet,
+            json_=json_,
         )
     from termwise.reports import run
     from termwise.reports.pages import report as page

@@ -26,6 +26,8 @@ from termwise.scenes.model import BLACK, BLACK_SURFACE, Ambient, Object, PointLi
 from termwise.scenes.terms import TABLE
 
 TOTAL = "total"
+ROWS = (TOTAL, "ambient", "direct", "direct all")
+"""What is judged of an engine on a scene."""
 _UNREAD = ("name", "conventions", "left_out")
 
 
@@ -111,7 +113,7 @@ class Row:
 
     Attributes
     ----------
-    name : `total`, `ambient`, `direct, first hit`, `direct, all bounces`.
+    name : one of `ROWS`; `direct` is that of the first hit, `direct all` that of all bounces.
     parts : what the engine is asked, with signs.
     limits : what the references of which the sum is meant are; each with the scene that it is rendered of.
     absent : why there is nothing to judge, whatever the engine; None where there is.
@@ -152,7 +154,7 @@ def _ambient(scene: Scene) -> Row:
 
 
 def _direct(scene: Scene, scope: Scope) -> Row:
-    name = {"first-hit": "direct, first hit", "all": "direct, all bounces"}[scope]
+    name = {"first-hit": "direct", "all": "direct all"}[scope]
     lit = attrs.evolve(_diffuse(scene, scene.objects), sky=Sky(), ambient=Ambient(), draw_lights=True)
     depth = 1 if scope == "first-hit" else None
     absent = TABLE["direct"].absent(scene) or _odd(scene)

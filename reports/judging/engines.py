@@ -93,15 +93,24 @@ def compare(
     *,
     reference_spp: int,
     reference_replicates: int,
+    only: Sequence[str] = asking.ROWS,
     command: str = "",
     report: Report = silent,
 ) -> Judged:
-    """Render scenes by engines and by Mitsuba, and judge all light and the terms; pages go to `folder`."""
+    """Render scenes by engines and by Mitsuba, and judge all light and the terms, or `only` some; pages go to `folder`.
+
+    Raises
+    ------
+    ValueError : a row that is none.
+    """
+    for name in only:
+        if name not in asking.ROWS:
+            raise ValueError(f"row = {name!r}: allowed are {', '.join(asking.ROWS)}")
     family = _Family(how, report, len(engines) * len(scenes) * how.replicates * 5)
     believed = list(family.believed(engines))
     spp = max([reference_spp, *(how.samples(engine) for engine in engines)])
     for scene in scenes:
-        for row in asking.rows(scene):
+        for row in (each for each in asking.rows(scene) if each.name in only):
             truth: np.ndarray | None = None
             for engine in believed:
                 name = f"{scene.name}: {row.name}: {engine.name}"

@@ -14,6 +14,9 @@ import attrs
 from termwise.reports.judging.judge import Images, Judgement, Measured, measure
 from termwise.reports.statistics.verdict import LEVEL, MARGIN
 
+RENDERED_BY = "engine", "version", "samples a pixel", "command"
+"""Settings of a case that stand in the index too, where an engine rendered it."""
+
 
 @attrs.frozen(eq=False)
 class Case:
@@ -204,7 +207,13 @@ def rows(outcomes: Iterable[Outcome], folder: Path) -> list[dict[str, Any]]:
     grave = {word: place for place, word in enumerate(WORDS)}
     ordered = sorted(outcomes, key=lambda each: grave.get(str(each.judgement.verdict), len(grave)))
     return [
-        {"name": each.name, "page": each.page.relative_to(folder).as_posix()} | each.judgement.row() for each in ordered
+        {
+            "name": each.name,
+            "page": each.page.relative_to(folder).as_posix(),
+            "rendered_by": {name: value for name, value in each.judgement.settings.items() if name in RENDERED_BY},
+        }
+        | each.judgement.row()
+        for each in ordered
     ]
 
 

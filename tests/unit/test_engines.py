@@ -8,15 +8,17 @@ import json
 import os
 import time
 from pathlib import Path
+from typing import get_args
 
 import attrs
 import numpy as np
 import pytest
 
 import termwise
+from termwise.reports import cli
 from termwise.reports.engines import engine as engines
 from termwise.reports.engines import furnaces, probe
-from termwise.reports.engines.asked import Asked, lacking, rows
+from termwise.reports.engines.asked import FEATURES, Asked, lacking, rows
 from termwise.reports.engines.engine import EngineError
 from termwise.reports.engines.replicates import collected, rendered, replicates
 from termwise.reports.engines.running import seed_of
@@ -281,6 +283,34 @@ def test_an_engine_that_fails_leaves_the_other_rows(tmp_path: Path, monkeypatch:
     assert json.loads((tmp_path / "out" / "results.json").read_text())["unjudged"][1]["word"] == "FAILED"
 
 
+def test_a_furnace_by_command_says_what_failed_in_a_line_and_writes_its_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    path = fake(tmp_path, "dies").path
+    monkeypatch.setattr("sys.argv", ["termwise", "furnace", "--engine", str(path), "--out", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    said = capsys.readouterr()
+    assert ended.value.code == 2
+    (line,) = said.err.splitlines()
+    assert line.startswith("termwise: fake: probe: seed 1: exit status 1")
+    assert str(tmp_path / "out" / "furnace" / "index.html") in said.out
+    assert "no licence is left" in (tmp_path / "out" / "furnace" / "index.html").read_text()
+
+
+def test_an_engine_in_python(tmp_path: Path):
+    found = termwise.engine(fake(tmp_path).path)
+    assert repr(found) == f"<engine fake: {tmp_path / 'fake.toml'}>"
+    scene = SCENE.scene
+    assert scene is not None
+    image = found.render(scene, samples=3, replicates=2, seed=4, probe=False)
+    assert image.images is not None
+    assert (image.samples, image.replicates, image.images.shape) == (3, 2, (2, 4, 6, 3))
+    assert np.array_equal(image.mean, image.images.mean(axis=0, dtype=np.float64))
+    with pytest.raises(EngineError, match="fake: probe: the square"):
+        found.render(scene)
+
+
 def test_a_term_is_a_scene_less_what_shines_in_it():
     monkey = load.load("monkey")
     total, ambient, first, every = rows(monkey)
@@ -316,3 +346,15 @@ def test_environment_of_an_adapter_has_no_path_of_ours(tmp_path: Path, monkeypat
     assert fake(tmp_path).variables()["PYTHONPATH"] == "/somewhere"
     assert "PYTHONPATH" not in fake(tmp_path, more='packages = ["x"]').variables()
     assert os.environ["PYTHONPATH"] == "/somewhere"
+
+
+def test_the_manual_says_every_field_place_and_feature_and_prints_the_example():
+    manual = (ROOT / "docs" / "engines.md").read_text("utf-8")
+    for field in attrs.fields(engines.EngineFile):
+        assert f"`{field.name}`" in manual, field.name
+    for name in (*(f"{{{place}}}" for place in engines.PLACES), *FEATURES, *engines.shipped()):
+        assert f"`{name}`" in manual, name
+    assert set(get_args(engines.Feature)) == set(FEATURES)
+    for file in ("tiny_renderer.py", "tiny_renderer.toml"):
+        assert f"{{literalinclude}} ../examples/{file}" in manual
+        assert (ROOT / "examples" / file).is_file()
