@@ -9,6 +9,7 @@ A term is a scene of its own, so that an engine needs no outputs of terms. With 
 What is subtracted is what the camera sees shine.
 """
 
+import functools
 import hashlib
 import json
 import math
@@ -61,7 +62,7 @@ class Asked:
         width, height = self.described["film"]["resolution"]
         return width, height
 
-    @property
+    @functools.cached_property
     def digest(self) -> str:
         """sha256 of all that decides the image; names do not."""
         told = {name: value for name, value in self.described.items() if name not in _UNREAD}

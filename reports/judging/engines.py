@@ -111,7 +111,7 @@ def compare(
     spp = max([reference_spp, *(how.samples(engine) for engine in engines)])
     for scene in scenes:
         for row in (each for each in asking.rows(scene) if each.name in only):
-            truth: np.ndarray | None = None
+            truth: _Truth | None = None
             for engine in believed:
                 name = f"{scene.name}: {row.name}: {engine.name}"
                 if row.absent is not None:
@@ -124,7 +124,8 @@ def compare(
                     truth = _truth(row.limits, spp=spp, seed=how.seed, count=reference_replicates)
                 # What shines was subtracted: noise leaves less than nothing.
                 options = _objects(scene) | {"allow_negative": len(row.parts) > 1}
-                family.add(engine, name, images, truth, options, {"judged against": _against(row)}, row)
+                settings = {"judged against": _against(row)} | truth.settings
+                family.add(engine, name, images, truth.stack, options, settings, row)
     return family.judge(folder, command)
 
 
@@ -133,7 +134,7 @@ def against(scene: Scene, *, spp: int, seed: int, replicates: int) -> tuple[np.n
     row = asking.total(scene)
     if row.absent is not None:
         raise ValueError(f"{scene.name}: {row.absent}: allowed is a scene that is light transport")
-    return _truth(row.limits, spp=spp, seed=seed, count=replicates), _objects(scene)
+    return _truth(row.limits, spp=spp, seed=seed, count=replicates).stack, _objects(scene)
 
 
 def case(engine: Engine, scene: Scene, how: Asking, *, progress: Callable[[], object] | None = None) -> Case:
@@ -359,15 +360,33 @@ def _threads(how: Asking) -> int:
     return how.threads or os.cpu_count() or 1
 
 
-def _truth(limits: Sequence[tuple[Scene, Limit]], *, spp: int, seed: int, count: int) -> np.ndarray:
-    """Replicates of a sum of references, from the cache or rendered now."""
+@attrs.frozen(eq=False)
+class _Truth:
+    """Replicates of a reference (R, H, W, 3), and what is said of them."""
+
+    stack: np.ndarray
+    settings: dict[str, Any]
+
+
+def _truth(limits: Sequence[tuple[Scene, Limit]], *, spp: int, seed: int, count: int) -> _Truth:
+    """Replicates of a sum of references, from the cache or rendered now.
+
+    Raises
+    ------
+    ValueError : Mitsuba's backend affords too few.
+    """
     from termwise.reference import store
 
     folder = cache_folder() / "reference"
     found = [store.replicates(scene, limit, spp=spp, seed=seed, count=count, folder=folder) for scene, limit in limits]
     least = min(len(each.images) for each in found)
+    shortfall = "; ".join(dict.fromkeys(each.shortfall for each in found if each.shortfall))
+    if least < _LEAST:
+        raise ValueError(f"{limits[0][0].name}: {shortfall}: allowed are at least {_LEAST} replicates")
     stacks = [each.images[:least] for each in found]
-    return total(*stacks) if len(stacks) > 1 else stacks[0]
+    said: dict[str, Any] = {"reference samples a pixel": found[0].spp}
+    said |= {"reference shortfall": shortfall} if shortfall else {}
+    return _Truth(total(*stacks) if len(stacks) > 1 else stacks[0], said)
 
 
 def _against(row: Row) -> str:

@@ -6,6 +6,7 @@ rightly is rendered by the path tracer of the manual.
 
 import json
 import os
+import pickle
 import time
 from pathlib import Path
 from typing import get_args
@@ -22,6 +23,7 @@ from termwise.reports.engines.asked import FEATURES, Asked, lacking, rows
 from termwise.reports.engines.engine import EngineError
 from termwise.reports.engines.replicates import collected, rendered, replicates
 from termwise.reports.engines.running import seed_of
+from termwise.reports.jobs.executors import InThisProcess
 from termwise.reports.judging import engines as judging
 from termwise.scenes import analytic, load
 from termwise.scenes.model import Ambient, Sky
@@ -217,6 +219,17 @@ def test_a_damaged_image_is_rendered_again(tmp_path: Path):
     with pytest.raises(EngineError, match="is missing or damaged"):
         collected(jobs, cache_folder())
     assert np.array_equal(rendered(fake(tmp_path), SCENE, spp=1, seed=1, count=1).stack, before)
+
+
+def test_replicates_are_jobs_of_any_executor(tmp_path: Path):
+    jobs = replicates(fake(tmp_path), SCENE, spp=1, seed=1, count=2)
+    jobs += replicates(fake(tmp_path, "dies"), SCENE, spp=1, seed=1, count=1)
+    outcomes = list(InThisProcess().run(jobs, tmp_path / "there", lambda job: False))
+    assert [each.made for each in outcomes] == [True, True, False]
+    assert "no licence is left" in str(outcomes[2].error)
+    assert [each.kept(tmp_path / "there") for each in jobs] == [True, True, False]
+    again = pickle.loads(pickle.dumps(jobs[0])).here()
+    assert again.files(tmp_path) == jobs[0].files(tmp_path)
 
 
 def test_the_probe_of_a_right_renderer_and_of_one_that_paints_noise(tmp_path: Path):
