@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane (each compiles kernels and renders) and of the audit: more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare variants view bench stress docs engines quick test audit lint format clean distclean
+.PHONY: help install compare variants view bench stress docs engines gallery quick test audit lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -41,6 +41,10 @@ bench: .venv/.installed ## Speed beside Mitsuba's: rays, seconds to equal error,
 
 engines: .venv/.installed ## Other renderers, each into an environment of its own: Cycles, LuxCore
 	@.venv/bin/python -m termwise.reports.engines.install
+
+gallery: .venv/.installed ## Engines, rightly and wrongly set, on two scenes: one page of pictures and verdicts; OUT=out
+	-@.venv/bin/termwise compare cornell_box_unshadowed monkey --diffuse --row total --no-probe --study quick \
+	  $(addprefix --engine ,mitsuba cycles luxcore $(wildcard reports/engines/settings/*.toml)) --out $(OUT)/gallery
 
 stress: .venv/.installed ## Exact properties under hostile input, beside the paper's code and Mitsuba; OUT=out
 	@.venv/bin/termwise stress --out $(OUT)

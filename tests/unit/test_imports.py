@@ -54,6 +54,26 @@ def test_judging_loads_neither_numba_nor_mitsuba(theirs: Path):
     assert loaded == []
 
 
+def test_furnaces_load_neither_numba_nor_mitsuba(theirs: Path):
+    """First contact of a renderer that is not there: the page is written all the same."""
+    (theirs / "mine.toml").write_text('name = "mine"\ncommand = ["./mine", "{scene}", "{seed}"]\nsupports = []\n')
+    found, loaded = run(
+        theirs,
+        "from pathlib import Path",
+        "import termwise",
+        "from termwise.reports.judging import engines",
+        "mine = termwise.engine('mine.toml').engine",
+        "judged = engines.furnace([mine], Path('out'), engines.Asking(replicates=4))",
+        "assert Path('out/index.html').is_file()",
+        f"loaded = [name for name in {HEAVY} if name in sys.modules]",
+        "print(json.dumps([[each.reason for each in judged.unjudged], loaded]))",
+    )
+    (reason,) = found
+    assert reason.startswith("mine: command: ")
+    assert reason.endswith("no such program is here, or it cannot be executed")
+    assert loaded == []
+
+
 def test_importing_it_loads_no_more_than_numpy(theirs: Path):
     heavy = (*HEAVY, "scipy.special", "scipy.stats", "scipy.sparse", "matplotlib", "xarray", "colour")
     loaded = run(
