@@ -63,10 +63,11 @@ class Emitters(NamedTuple):
     drawn: bool
     points: Points
     faces: Faces
-    spots: Spots | None
-    directionals: Directionals | None
-    suns: Suns | None
-    spheres: SphereLights | None
+    # None of a kind that the scene has not; what reads one is called where it has.
+    spots: Spots
+    directionals: Directionals
+    suns: Suns
+    spheres: SphereLights
 
 
 @functools.lru_cache(maxsize=4)

@@ -122,7 +122,7 @@ def spots(count: int) -> Iterator[Row]:
 
 def suns(count: int) -> Iterator[Row]:
     """Irradiance by evenly spread points, whose error falls as one over their number, as it may on a smooth disc."""
-    points = stats.qmc.Sobol(2, seed=1).random(1 << (count - 1).bit_length())
+    points = stats.qmc.Sobol(2, rng=1).random(1 << (count - 1).bit_length())
     for angle in _SUNS:
         half = math.radians(angle) / 2.0
         radiance = 1.0 / (math.pi * math.sin(half) ** 2)
@@ -154,7 +154,7 @@ def grazing(count: int) -> Iterator[Row]:
 
 def spheres(count: int) -> Iterator[Row]:
     """Irradiance straight below a sphere, `pi L (r / d)²`."""
-    points = stats.qmc.Sobol(2, seed=1).random(1 << (count - 1).bit_length())
+    points = stats.qmc.Sobol(2, rng=1).random(1 << (count - 1).bit_length())
     for share in (1e-8, 0.5, 1.0 - 1e-9):
         for scale in _SCALES:
 
@@ -222,7 +222,7 @@ def outside(count: int) -> Iterator[Row]:
 
 def powers(count: int) -> Iterator[Row]:
     """The mean of the photons is the power that the light is picked by."""
-    points = stats.qmc.Sobol(4, seed=1).random(1 << (count - 1).bit_length())
+    points = stats.qmc.Sobol(4, rng=1).random(1 << (count - 1).bit_length())
     for kind in (spot, directional, sun, sphere):
         for scale in _SCALES:
 

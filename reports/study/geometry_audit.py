@@ -17,7 +17,7 @@ import numpy as np
 from termwise import reference
 from termwise.reference.translate import Canonical
 from termwise.reports.study.crossings import Crossings, Soup
-from termwise.scenes.model import Scene, SphereLight, Vector
+from termwise.scenes.model import DirectionalLight, Scene, SphereLight, SunLight, Vector
 
 POINTS = 320
 DOUBT = 2.0**-13
@@ -155,7 +155,7 @@ class _Audit:
         target, normal, face = np.zeros((POINTS, 3)), np.zeros((POINTS, 3)), np.full(POINTS, -1)
         for number, light in enumerate(lights):
             here = np.flatnonzero(chosen == number)
-            if light.centre is None:
+            if isinstance(light, DirectionalLight | SunLight):
                 target[here] = self._far(light.way, len(here))
                 continue
             target[here] = self.canonical.points(light.centre)

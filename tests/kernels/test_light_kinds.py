@@ -62,13 +62,13 @@ def at(x: float, y: float, normal: Vector = (0.0, 0.0, 1.0)) -> Surface:
 
 def lattice(side: int, dimensions: int) -> np.ndarray:
     """Points of the unit cube, evenly spread, (side², dimensions)."""
-    return stats.qmc.Halton(dimensions, seed=1).random(side * side)
+    return stats.qmc.Halton(dimensions, rng=1).random(side * side)
 
 
 def irradiance(scene: Scene, surface: Surface, points: np.ndarray) -> np.ndarray:
     """Mean of E over samples, (3,)."""
     arrays = from_scene(scene)
-    return math.pi * np.mean([sample_light(arrays, surface, u, v)[0] for u, v in points], axis=0)
+    return math.pi * np.mean(np.array([sample_light(arrays, surface, u, v)[0] for u, v in points]), axis=0)
 
 
 def by_spot(light: SpotLight, point: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ def test_power_of_a_spot(beam: float, cutoff: float):
     assert spot.power(emitters.spots, False)[0] == pytest.approx(2.0 * 2.0 * math.pi * integral, rel=1e-8)
     arrays = from_scene(lit_by(light))
     u = (np.arange(400) + 0.5) / 400
-    flux = np.mean([spot.emit(arrays, 0, 1.0, False, (0.5, 0.5), (each, 0.3))[2] for each in u], axis=0)
+    flux = np.mean(np.array([spot.emit(arrays, 0, 1.0, False, (0.5, 0.5), (each, 0.3))[2] for each in u]), axis=0)
     assert flux.mean() == pytest.approx(2.0 * 2.0 * math.pi * integral, rel=1e-4)
 
 
@@ -304,7 +304,7 @@ def test_rays_meet_a_sphere_where_it_is():
             aim = balls.center[0] + rng.normal(size=3) * 0.5
             direction = (aim - origin) * rng.uniform(0.1, 3.0)
             found = spheres.distance_to(balls, 0, Vec3(*origin.tolist()), Vec3(*direction.tolist()))
-            o, d = (np.longdouble(each) for each in (origin - balls.center[0], direction))
+            o, d = (np.array(each, np.longdouble) for each in (origin - balls.center[0], direction))
             a, b, c = d @ d, 2 * (o @ d), o @ o - np.longdouble(0.75) ** 2
             square = b * b - 4 * a * c
             roots = sorted(((-b - np.sqrt(square)) / (2 * a), (-b + np.sqrt(square)) / (2 * a))) if square >= 0 else []

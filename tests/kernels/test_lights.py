@@ -58,7 +58,7 @@ def test_point_lights_add_up(compiled):
     scene = scene_of(points(12))
     expected = sum(
         np.array(light.intensity) * light.position[2] / np.linalg.norm(light.position) ** 3
-        for light in scene.lights
+        for light in points(12)
         if light.position[2] > 0
     )
     samples, count = (256, 24) if compiled else (8, 6)

@@ -119,7 +119,9 @@ def first_hit_of_facets(scene: Scene) -> np.ndarray:
     d = np.where(cos > 0, distance / np.where(cos > 0, cos, 1), np.inf)
     nearest = d.argmin(axis=-1)
     d, cos = d.min(axis=-1), np.take_along_axis(cos, nearest[..., None], -1)[..., 0]
-    return scene.objects[0].material.color[0] * scene.lights[0].intensity[0] * cos / (np.pi * d * d)
+    (lamp,) = scene.lights
+    assert isinstance(lamp, PointLight)
+    return scene.objects[0].material.color[0] * lamp.intensity[0] * cos / (np.pi * d * d)
 
 
 def test_unit_sphere_first_hit(compiled):

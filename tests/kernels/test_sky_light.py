@@ -6,6 +6,7 @@ the map must be 1 in all, wherever the point is, or the mixture weighs wrong; a 
 
 import itertools
 import math
+from collections.abc import Callable
 
 import attrs
 import numpy as np
@@ -85,12 +86,12 @@ def looked_up(sky: Sky, origin: np.ndarray, direction: np.ndarray) -> np.ndarray
     return np.where(seen[:, None], found, 0.0)
 
 
-def by_quadrature(sky: Sky, origin: Vector, hit: object = None) -> np.ndarray:
+def by_quadrature(sky: Sky, origin: Vector, hit: Callable[[np.ndarray], np.ndarray] | None = None) -> np.ndarray:
     """`(1 / pi) ∫ hit L_sky cos` over a floor."""
     directions, share = sphere_of_directions(500)
     directions = directions[directions[:, 2] > 0.0]
     light = looked_up(sky, np.array(origin), directions) * directions[:, 2:] / math.pi
-    if callable(hit):
+    if hit is not None:
         light *= hit(directions)[:, None]
     return light.sum(axis=0) * share
 
@@ -128,7 +129,9 @@ def test_what_the_sky_sends_to_an_open_floor(name: str):
     origin, up = Vec3(0.3, 0.2, 0.0), Vec3(0.0, 0.0, 1.0)
     side = 64
     numbers = (np.stack(np.meshgrid(*2 * [np.arange(side)]), axis=-1).reshape(-1, 2) + 0.5) / side
-    found = np.mean([sky_light(arrays, arrays.sky_map, origin, up, u, v)[1] for u, v in numbers.tolist()], axis=0)
+    found = np.mean(
+        np.array([sky_light(arrays, arrays.sky_map, origin, up, u, v)[1] for u, v in numbers.tolist()]), axis=0
+    )
     np.testing.assert_allclose(found, by_quadrature(sky, (0.3, 0.2, 0.0)), rtol=0.02)
 
 

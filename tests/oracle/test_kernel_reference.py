@@ -350,6 +350,7 @@ def test_scale_changes_nothing(kernel):
     """Lengths times 4, radius too, intensity times 16: the same canonical scene, hence equal bits."""
     box = closed_box()
     (room,), (light,), camera = box.objects, box.lights, box.camera
+    assert isinstance(light, PointLight)
     wide = attrs.evolve(
         box,
         camera=attrs.evolve(camera, position=times(4, camera.position), target=times(4, camera.target)),

@@ -175,9 +175,11 @@ def test_a_sun_is_a_far_disc(tmp_path: Path):
     from termwise.reference.film import sensor
 
     camera, integrator = sensor(loaded.description["camera"], 64), mi.load_dict({"type": "direct"})
-    theirs = np.array(
-        [np.array(mi.render(far, sensor=camera, integrator=integrator, spp=256, seed=k))[..., :3] for k in range(16)]
-    )
+
+    def render(seed: Any) -> np.ndarray:
+        return np.array(mi.render(far, sensor=camera, integrator=integrator, spp=256, seed=seed))[..., :3]
+
+    theirs = np.array([render(k) for k in range(16)])
     mine = theirs_of(scene, Limit("direct", scope="first-hit"), 256)
     assert (np.abs(apart(mine, theirs)) < 4.5).all()
     assert abs(mine.mean() / theirs.mean() - 1.0) < 0.002

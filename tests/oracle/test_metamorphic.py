@@ -31,7 +31,7 @@ from termwise.reports import cli
 from termwise.reports.results.exr import read_exr
 from termwise.scenes.analytic import closed_box
 from termwise.scenes.load import library, load
-from termwise.scenes.model import Color, Light, Mesh, Object, Scene, SphereLight, SunLight, Vector
+from termwise.scenes.model import Color, Light, Mesh, Object, PointLight, Scene, SphereLight, SunLight, Vector
 from termwise.scenes.terms import TERMS, Term, total
 from tests.scenes import of_every_kind, small
 
@@ -210,7 +210,9 @@ def test_intensity_is_radiance_times_area():
     scene = attrs.evolve(scenes()["monkey"], scope="first-hit")
     half = transformed(scene, scale=0.5)
     (light,) = half.lights
-    kept = attrs.evolve(half, lights=(attrs.evolve(light, intensity=scene.lights[0].intensity),))
+    (before,) = scene.lights
+    assert isinstance(before, PointLight)
+    kept = attrs.evolve(half, lights=(attrs.evolve(light, intensity=before.intensity),))
     image = rendered(scene, "direct", "next-event")
     np.testing.assert_array_equal(rendered(kept, "direct", "next-event"), 4 * image)
 
@@ -309,6 +311,7 @@ def test_a_point_light_split_in_two(term: Term, variant: str):
     halves = tuple(
         attrs.evolve(light, intensity=vector(0.5 * np.array(light.intensity)))
         for light in scene.lights
+        if isinstance(light, PointLight)
         for _ in range(2)
     )
     image = rendered(scene, term, variant)

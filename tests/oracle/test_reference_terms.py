@@ -333,6 +333,7 @@ def moved(scene: Scene, scale: float, shift: np.ndarray) -> Scene:
         lights=tuple(
             attrs.evolve(light, position=point(light.position), intensity=tuple(x * scale**2 for x in light.intensity))
             for light in scene.lights
+            if isinstance(light, PointLight)
         ),
         ambient=attrs.evolve(scene.ambient, range=scene.ambient.range * scale),
     )

@@ -222,6 +222,12 @@ def grazing() -> Scene:
     return rounding.moved(Scene("grazing", Camera((0.0, -3.0, 1.0), (0.0, 0.0, 0.0)), (floor,), lights=(lamp,)))
 
 
+def lamp_of(scene: Scene) -> PointLight:
+    (lamp,) = scene.lights
+    assert isinstance(lamp, PointLight)
+    return lamp
+
+
 def irradiance(cosine):
     """E of points of the plate, by a formula of the cosine of a direction and a normal."""
     u, v = (each[..., None] for each in np.meshgrid(*2 * [(np.arange(32) + 0.5) / 32]))
@@ -229,10 +235,10 @@ def irradiance(cosine):
     def image(scene: Scene) -> np.ndarray:
         a, b, _, c = scene.objects[0].mesh.vertices
         normal = np.cross(b - a, c - a)
-        way = np.array(scene.lights[0].position) - (a + u * (b - a) + v * (c - a))
+        way = np.array(lamp_of(scene).position) - (a + u * (b - a) + v * (c - a))
         square = (way**2).sum(axis=-1, keepdims=True)
         cos = cosine(way / np.sqrt(square), normal / np.linalg.norm(normal))[..., None]
-        return np.array(scene.lights[0].intensity) * cos / square
+        return np.array(lamp_of(scene).intensity) * cos / square
 
     return image
 
@@ -255,10 +261,10 @@ def test_a_cancellation_at_grazing_angles_is_flagged():
 
 def test_a_sample_that_goes_another_way_is_counted_apart():
     """A step at a number that the perturbation crosses in one pixel."""
-    edge = grazing().lights[0].intensity[0]
+    edge = lamp_of(grazing()).intensity[0]
 
     def image(scene: Scene) -> np.ndarray:
-        lit = np.full((2, 2, 3), scene.lights[0].intensity[0])
+        lit = np.full((2, 2, 3), lamp_of(scene).intensity[0])
         lit[0, 0] *= 1.0 if lit[0, 0, 0] > edge else 0.5
         return lit
 
