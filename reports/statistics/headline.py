@@ -15,12 +15,8 @@ _WIDESPREAD = 0.2
 """Share of the tiles, of which noise shows a twentieth, above which an error is of the picture, not of a place."""
 _SEEN = 2.0
 """Standard errors beyond which a tile is seen to be off: it names a place and proves nothing."""
-
-
 _CANCELLED = 1 / 3
 """Share of the differences of the tiles that are seen to be off below which their sum is no measure of them."""
-
-
 _BUT_FOR = "but for a few bright pixels, which are most of the mean: "
 
 
@@ -71,7 +67,7 @@ def _proven(verdict: Verdict, statistics: Statistics) -> str:
     proven = [each for each in verdict.regions if _outside(each.family_low, each.family_high, limit)]
     sure = [each for each in proven if each.region == "image"]
     place = tile_words(verdict.tile)
-    rms = np.sqrt(max(theta.value for each in statistics.mean_square.values() for theta in each))
+    rms = np.sqrt(max(0.0, *(theta.value for each in statistics.mean_square.values() for theta in each)))
     # Of a kernel the means alone are judged.
     if _cancels(statistics) and any(not reason.startswith("mean of ") for reason in verdict.reasons):
         mean = ", ".join(f"{each.channel} {_off(each.bias)}" for each in sure) or "right"
@@ -134,7 +130,8 @@ def _apart(verdict: Verdict, statistics: Statistics) -> tuple[float, float] | No
 def _cancels(statistics: Statistics) -> bool:
     """Whether what is too bright makes up for what is too dark, so that the mean says little of the error."""
     tiles = _tiles(statistics)
-    seen = (tiles.ours - tiles.reference)[np.abs(tiles.bias) > _SEEN * tiles.standard_error]
+    # Twice as far as noise: of many tiles some are seen by chance, either way.
+    seen = (tiles.ours - tiles.reference)[np.abs(tiles.bias) > 2 * _SEEN * tiles.standard_error]
     return bool(np.abs(seen.sum()) < _CANCELLED * np.abs(seen).sum())
 
 

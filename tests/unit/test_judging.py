@@ -154,6 +154,7 @@ def test_hints_within_a_mask(draw: Draw):
         (PICTURE[::-1], "misplaced"),
         (0.995 * np.roll(PICTURE, 3, 0), "misplaced by "),
         (np.where(((X < 0.3) & (Y < 0.3))[..., None], 1.3, 1.0) * PICTURE, "most of all at tile x 0-15, y 0-15"),
+        (np.where(((X < 0.3) & (Y < 0.3))[..., None], 1.04, 1.0) * PICTURE, "too bright"),
     ],
 )
 def test_a_proven_error_in_plain_words(draw: Draw, picture: np.ndarray, words: str):
