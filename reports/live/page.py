@@ -193,7 +193,7 @@ class Page:
                 self.status = ui.label().props("role=status aria-live=polite")
                 with ui.row().classes("w-full items-start gap-6"):
                     self.gallery = ui.element("div").classes("grow")
-                    self.terms = ui.html(sanitize=False)
+                    self.terms = ui.html(sanitize=False).classes("max-w-full overflow-x-auto")
                 ui.label(
                     "Drag turns the camera, Shift and drag shifts it, the wheel comes nearer; on the picture: arrow "
                     "keys, with Shift, + and -."

@@ -360,6 +360,8 @@ def test_the_truth_arrives_and_is_cancelled(page):
     table = page.locator("table[aria-label=Verdicts]").inner_text()
     assert "BIASED" not in table
     assert "EQUIVALENT" in table or "UNDERPOWERED" in table
+    page.set_viewport_size({"width": 400, "height": 800})  # with all its tables, no wider than a narrow screen
+    page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_every_scene_of_the_library_has_a_page(page):
