@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from termwise.reports import progress
 from termwise.reports.cli import terminal
 from termwise.reports.cli.engines import OneEngine, Probed, Samples
-from termwise.reports.cli.terminal import Flag, Integer, Json, MaybeInteger, Resolution
+from termwise.reports.cli.terminal import Approximate, Flag, Integer, Json, MaybeInteger, Resolution
 from termwise.reports.judging.gates import Require
 from termwise.reports.statistics.verdict import LEVEL, MARGIN
 
@@ -22,6 +22,7 @@ def judge(
     scene: str | None = None,
     engine: OneEngine = None,
     diffuse: Flag = False,
+    approximate: Approximate = False,
     resolution: Resolution = None,
     replicates: Integer = 16,
     seed: Integer = 1,
@@ -137,6 +138,7 @@ def judge(
                 images,
                 engine,
                 diffuse=diffuse,
+                approximate=approximate,
                 resolution=resolution,
                 replicates=replicates,
                 seed=seed,
@@ -207,6 +209,7 @@ def _of_scene(
     engine: str | None,
     *,
     diffuse: bool,
+    approximate: bool,
     resolution: tuple[int, int] | None,
     replicates: int,
     seed: int,
@@ -226,11 +229,13 @@ def _of_scene(
         raise ValueError("images: none given: allowed are images of the scene, or --engine")
     if engine is None and resolution is not None:
         raise ValueError("resolution: allowed with --engine alone: that of images is their own")
-    described = terminal.scene(scene, resolution)
+    described = terminal.scene(scene, resolution, approximate=approximate)
     described = neutral.diffuse(described) if diffuse else described
     terminal.check_seed(seed)
     terminal.choose_backend(None)
     settings: dict[str, Any] = {"scene": described.name}
+    if described.substitutions:
+        settings["substitutions"] = "; ".join(described.substitutions)
     if engine is not None:
         how = engines.Asking(replicates=engines.enough(replicates), seed=seed, spp=spp, probed=probe)
         subject = load(engine)

@@ -16,6 +16,8 @@ import PIL.Image
 import pytest
 import trimesh
 
+from termwise.reports.cli import judging, terminal
+from termwise.reports.judging import engines
 from termwise.reports.results.microscope import replay_command
 from termwise.reports.rows.described import describe
 from termwise.reports.study import subjects
@@ -348,6 +350,24 @@ def test_a_study_takes_files_of_others(tmp_path: Path):
     assert len(scene.substitutions) == 1
     described = describe(study, next(subjects.subjects(study, (scene,))), [])
     assert described["substitutions"] == [*scene.substitutions]
+
+
+def test_a_scene_to_judge_against_may_be_a_file_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = changed(tmp_path, lambda d: light(d).update(range=3.0))
+    np.save(tmp_path / "mine.npy", np.ones((4, 6, 8, 3), np.float32))
+    seen = []
+    monkeypatch.setattr(terminal, "choose_backend", lambda _: "any")
+    monkeypatch.setattr(engines, "against", lambda scene, **_: seen.append(scene) or ([], {}))
+
+    def case(approximate: bool) -> Any:
+        options: dict[str, Any] = {"diffuse": False, "resolution": None, "replicates": 4, "seed": 1, "spp": None}
+        options |= {"reference_spp": 1, "probe": False, "places": {}, "approximate": approximate}
+        return judging._of_scene(str(path), (tmp_path / "mine.npy",), None, **options)
+
+    with pytest.raises(FileError, match="range 3.0"):
+        case(approximate=False)
+    assert "range 3.0" in case(approximate=True).settings["substitutions"]
+    assert seen[0].resolution == (8, 6)
 
 
 def test_a_replay_is_told_to_approximate():
