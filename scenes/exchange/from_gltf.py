@@ -39,16 +39,24 @@ def read(path: Path, *, approximate: bool) -> Scene:
                 _light(found, file, number, light["light"])
             if "camera" in node:
                 _camera(found, file, number, node["camera"])
-        extras = _described_scene(file).get("extras")
-        if isinstance(extras, dict) and "resolution" in extras:
-            width, height = extras["resolution"]
-            found.resolution = int(width), int(height)
+        _size(found, _described_scene(file).get("extras"))
     return found.scene()
 
 
 def _described_scene(file: File) -> Any:
     scenes = file.description.get("scenes", [])
     return file.item("scenes", file.description.get("scene", 0)) if scenes else {}
+
+
+def _size(found: Import, extras: Any) -> None:
+    """The size of the picture, which `exchange.gltf` writes as an extra, where it is of the camera's shape."""
+    size = extras.get("resolution") if isinstance(extras, dict) else None
+    if not (isinstance(size, list) and len(size) == 2 and all(isinstance(each, int) and each > 0 for each in size)):
+        return
+    width, height = found.resolution or size
+    # The camera's size is rounded to pixels.
+    if found.camera is None or abs(size[0] / size[1] * height / width - 1.0) <= 1.0 / min(width, height):
+        found.resolution = size[0], size[1]
 
 
 def _named(kind: str, item: Any, number: int) -> str:

@@ -24,10 +24,10 @@ _PLAIN = (0, 1)
 
 @attrs.define
 class _Look:
-    """A material of MTL, as far as it is read; the rest by name in `others`."""
+    """A material of MTL, as far as it is read."""
 
     name: str
-    Kd: Color = BLACK
+    Kd: Color | None = None
     Ks: Color = BLACK
     Ke: Color = BLACK
     Ns: float = 0.0
@@ -93,7 +93,9 @@ def _surface(found: Import, look: _Look) -> tuple[Material, Color]:
         found.instead(name, f"illum {look.illum}, which transmits light", "an opaque surface")
     if look.opacity < 1.0:
         found.instead(name, f"an opacity of {look.opacity:g}", "an opaque surface")
-    diffuse = np.array(look.Kd)
+    if look.Kd is None and not any(look.Ke) and "map_Kd" not in look.maps:
+        found.assume(f"{name} is black, for it has no Kd")
+    diffuse = np.array(look.Kd or ((1.0, 1.0, 1.0) if "map_Kd" in look.maps else BLACK))
     for feature, file in look.maps.items():
         if feature == "map_Kd":
             found.instead(name, feature, "its mean")

@@ -170,8 +170,9 @@ class Import:
         for thing in self.objects:
             corners = thing.mesh.vertices[thing.mesh.faces]
             there = np.broadcast_to(np.asarray(camera.position), (len(corners), 3))
-            apart = np.linalg.norm(triangles.closest_point(corners, there) - there, axis=1)
-            if apart.min() < corner or ((thing.mesh.vertices - camera.position) @ forward).max() > far:
+            with np.errstate(all="ignore"):  # of triangles without an area
+                apart = np.linalg.norm(triangles.closest_point(corners, there) - there, axis=1)
+            if np.nanmin(apart) < corner or ((thing.mesh.vertices - camera.position) @ forward).max() > far:
                 planes = f"planes at {near:g} and {far:g}, between which not all of {thing.name} is"
                 self.instead("camera", planes, "one that cuts nothing off")
 

@@ -260,6 +260,17 @@ def test_what_a_file_leaves_open_is_assumed_and_listed(tmp_path: Path):
     assert found.sky.color == found.ambient.color == (1.0, 1.0, 1.0)
 
 
+@pytest.mark.parametrize(
+    ("given", "read"), [([64, 48], (64, 48)), ([64, 64], (128, 96)), ("large", (128, 96)), ([0, 3], (128, 96))]
+)
+def test_a_size_is_taken_where_it_has_the_cameras_shape(given: Any, read: tuple[int, int], tmp_path: Path):
+    def sized(described: dict[str, Any]) -> None:
+        described["cameras"][0]["perspective"]["aspectRatio"] = 4 / 3
+        described["scenes"][0]["extras"] = {"resolution": given}
+
+    assert load(changed(tmp_path, sized)).resolution == read
+
+
 def test_normals_of_a_file_cannot_be_saved_and_nothing_is_written(tmp_path: Path):
     scene = small("smooth_monkey")
     mesh = scene.objects[1].mesh
@@ -309,6 +320,12 @@ def test_what_mtl_says_beyond_the_model_is_refused_or_listed(case: str, tmp_path
     with pytest.raises(FileError, match=f"a.obj: .*{feature}.* --approximate"):
         load(path)
     assert any(feature in line for line in load(path, approximate=True).substitutions)
+
+
+def test_a_material_without_a_colour_is_said_to_be_black(tmp_path: Path):
+    found = load(triangle(tmp_path, "newmtl m\nNs 10\n"))
+    assert found.objects[0].material.color == (0.0, 0.0, 0.0)
+    assert "assumed: material 'm' is black, for it has no Kd" in found.substitutions
 
 
 @pytest.mark.parametrize(
