@@ -151,7 +151,7 @@ def _check(found: Import, node: _Node) -> None:
     """Refuse what fills space."""
     for _, child in node.children:
         if child.kind in ("Medium", "Volume"):
-            raise found.refuse(child.name, f"{child.plugin}, a medium")
+            raise found.refuse(child.name, f"{child.plugin}, a {child.kind.lower()}")
         _check(found, child)
 
 
@@ -311,6 +311,10 @@ def _of_index(index: float) -> float:
 def _mean(mi: Any, found: Import, name: str, node: _Node, feature: str, made: Any) -> Color:
     """Diffuse reflectance that a feature of a BSDF says, a texture's mean."""
     texture = node.textured(feature)
+    if texture is None:
+        values = [value for name, value in mi.traverse(made).items() if name.endswith(f"{feature}.value")]
+        if len(values) == 1:
+            return _color(values[0])  # to evaluate it would be a kernel for each surface
     if texture == "mesh_attribute":
         raise found.refuse(name, f"{texture}, a texture")
     if texture is not None:
@@ -341,6 +345,9 @@ def _area(mi: Any, found: Import, node: _Node, emitter: _Node, shape: Any) -> Co
         raise found.refuse(node.name, f"{emitter.plugin}, an emitter of a shape")
     if (texture := emitter.textured("radiance")) not in (None, "d65", "srgb", "uniform", "regular", "irregular"):
         raise found.refuse(node.name, f"{texture}, a texture of radiance")
+    parameters = mi.traverse(shape.emitter())
+    if "radiance.value" in parameters:
+        return _color(parameters["radiance.value"])
     si = mi.SurfaceInteraction3f()
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
     return _color(shape.emitter().eval(si))
