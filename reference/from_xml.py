@@ -24,6 +24,7 @@ from termwise.scenes.model import (
     PointLight,
     Scene,
     Sky,
+    SphereLight,
     SpotLight,
 )
 from termwise.scenes.strict import FileError
@@ -156,9 +157,20 @@ def _check(found: Import, node: _Node) -> None:
 
 
 def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
-    """Add a shape with its surface and radiance."""
+    """Add a shape with its surface and radiance; a sphere that shines is a light."""
     normals = None
     matrix = _matrix(node)
+    emission = BLACK
+    for emitter in node.of("Emitter"):
+        emission = _area(mi, found, node, emitter, shape)
+    flipped = node.properties.get("flip_normals", False)
+    if node.plugin == "sphere" and any(emission) and not flipped and _scale(matrix) is not None:
+        if any(_material(mi, found, node, shape).color):
+            found.instead(node.name, "a lamp that reflects", "a black one")
+        center, radius = _ball(node)
+        radius *= _scale(matrix) or 1.0
+        found.lights.append(SphereLight(tuple(_placed(matrix, center).tolist()), radius, emission))
+        return
     if node.plugin in _MESHES:
         points = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
         faces = np.array(shape.faces_buffer(), np.int64).reshape(-1, 3)
@@ -171,18 +183,28 @@ def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
         points, faces, normals = _round(found, node, matrix)
     else:
         raise found.refuse(node.name, f"{node.plugin}, a shape")
-    if node.properties.get("flip_normals", False):
+    if flipped:
         faces, normals = faces[:, ::-1], None if normals is None else -normals
-    emission = BLACK
-    emitters = [*node.of("Emitter")]
-    for emitter in emitters:
-        emission = _area(mi, found, node, emitter, shape)
+    found.add(node.name, points, faces, _material(mi, found, node, shape), normals=normals, emission=emission)
+
+
+def _material(mi: Any, found: Import, node: _Node, shape: Any) -> Material:
+    """Surface of a shape; without one Mitsuba takes a grey, which for a lamp is black."""
     surfaces = [*node.of("BSDF")]
-    # Without one Mitsuba takes a grey; of a lamp that is meant to be seen as one, black.
-    material = (
-        _surface(mi, found, node.name, surfaces[0], shape.bsdf()) if surfaces else _default(mi, found, node, shape)
-    )
-    found.add(node.name, points, faces, material, normals=normals, emission=emission)
+    return _surface(mi, found, node.name, surfaces[0], shape.bsdf()) if surfaces else _default(mi, found, node, shape)
+
+
+def _scale(matrix: np.ndarray) -> float | None:
+    """The factor of a similarity; None of a matrix that squeezes or shears."""
+    square = matrix[:3, :3].T @ matrix[:3, :3]
+    scale = float(np.sqrt(np.trace(square) / 3.0))
+    return scale if np.abs(square - scale**2 * np.eye(3)).max() <= _TINY * scale**2 else None
+
+
+def _ball(node: _Node) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of a sphere, before it is placed."""
+    center = np.array(node.properties.get("center", (0.0, 0.0, 0.0)), np.float64).ravel()
+    return center, node.properties.get("radius", 1.0)
 
 
 def _matrix(node: _Node) -> np.ndarray:
@@ -207,8 +229,8 @@ def _round(found: Import, node: _Node, matrix: np.ndarray) -> tuple[np.ndarray, 
     found.instead(node.name, "sphere", f"{20 * 4**_SPHERE} triangles with its normals")
     ball = creation.icosphere(subdivisions=_SPHERE)
     unit = np.asarray(ball.vertices, np.float64)
-    center = np.array(node.properties.get("center", (0.0, 0.0, 0.0)), np.float64).ravel()
-    points = _placed(matrix, center + node.properties.get("radius", 1.0) * unit)
+    center, radius = _ball(node)
+    points = _placed(matrix, center + radius * unit)
     faces = np.asarray(ball.faces, np.int64)
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         faces = faces[:, ::-1]

@@ -159,6 +159,14 @@ def _bsdf(material: dict[str, Any]) -> dict[str, Any]:
 
 
 def _light(mi: Any, light: dict[str, Any]) -> dict[str, Any]:
+    if light["type"] == "sphere":
+        return {
+            "type": "sphere",
+            "center": light["center"],
+            "radius": light["radius"],
+            "bsdf": translate.BLACK_BSDF,
+            "emitter": {"type": "area", "radiance": _rgb(light["radiance"])},
+        }
     if light["type"] in ("directional", "sun"):
         return {"type": "directional", "direction": light["direction"], "irradiance": _rgb(light["irradiance"])}
     if light["type"] == "spot":

@@ -23,7 +23,7 @@ from termwise.reports.engines.engine import Engine
 from termwise.scenes import limits
 from termwise.scenes.exchange import neutral
 from termwise.scenes.limits import Limit
-from termwise.scenes.model import BLACK, BLACK_SURFACE, Ambient, Object, PointLight, Scene, Scope, Sky
+from termwise.scenes.model import BLACK, BLACK_SURFACE, Ambient, Object, Scene, Scope, Sky, SphereLight, SunLight
 from termwise.scenes.terms import TABLE
 
 TOTAL = "total"
@@ -89,6 +89,7 @@ FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
     "spot": lambda d: _lit_by(d, "spot"),
     "directional": lambda d: _lit_by(d, "directional"),
     "sun": lambda d: _lit_by(d, "sun"),
+    "sphere": lambda d: _lit_by(d, "sphere"),
     "constant-sky": lambda d: d["sky"] is not None and d["sky"]["type"] == "constant",
     "image-sky": lambda d: d["sky"] is not None and d["sky"]["type"] == "image",
 }
@@ -160,6 +161,7 @@ def _direct(scene: Scene, scope: Scope) -> Row:
     depth = 1 if scope == "first-hit" else None
     absent = TABLE["direct"].absent(scene) or _odd(scene)
     lamps = any(thing.emits for thing in scene.objects)
+    lamps |= any(isinstance(light, SunLight | SphereLight) for light in scene.lights)
     return _term(scene, name, lit, depth, limits.correct("direct", scope), absent, seen=lamps)
 
 
@@ -191,9 +193,6 @@ def _odd(scene: Scene) -> str | None:
     for name, usual in choices:
         if (value := getattr(scene, name)) != usual:
             return f"it has {name} = {value!r}, which is no light transport"
-    for light in scene.lights:
-        if not isinstance(light, PointLight):
-            return f"it has a light of the kind {light.kind!r}, which files for other renderers do not say"
     return None if scene.camera.pixel == "jitter" else f"it has camera.pixel = {scene.camera.pixel!r}, no box filter"
 
 

@@ -36,6 +36,7 @@ Feature = Literal[
     "spot",
     "directional",
     "sun",
+    "sphere",
     "constant-sky",
     "image-sky",
 ]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from termwise.scenes.exchange import spheres
 from termwise.scenes.exchange.neutral import describe, reach
 from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
@@ -26,8 +27,9 @@ _FLOAT, _UNSIGNED = 5126, 5125
 
 def write(scene: Scene, path: Path) -> list[str]:
     """Write a scene as GLB; return what it does not say, a sentence each, as its `asset.extras.left_out`."""
-    described = describe(scene)
-    missing = described["left_out"] + left_out(described)
+    given = describe(scene)
+    described, of_triangles = spheres.meshed(given)
+    missing = given["left_out"] + of_triangles + left_out(given)
     content = _Content()
     objects = [_object(thing, content) for thing in described["objects"]]
     lights = [_light(number, light) for number, light in enumerate(described["lights"])]

@@ -145,7 +145,7 @@ class Import:
             self.camera,
             tuple(self.objects),
             tuple(self.lights),
-            ambient=Ambient(_mean(sky)),
+            ambient=Ambient() if sky.is_black else Ambient(source="sky"),
             sky=sky,
             photons=Photons(radius=extent / _DENSEST),
             resolution=(width, height),
@@ -207,16 +207,3 @@ def _framing(low: np.ndarray, high: np.ndarray) -> Camera:
     centre = (low + high) / 2.0
     away = radius / np.sin(np.radians(fov / 2.0)) / np.linalg.norm(direction)
     return look(centre + away * direction, -direction, (0.0, 0.0, 1.0), fov)
-
-
-def _mean(sky: Sky) -> Color:
-    """Radiance of a sky, mean over all directions: the ambient light that stands for it in the paper's terms."""
-    if sky.texture is None:
-        return sky.color
-    rows = sky.texture.mean(axis=1, dtype=np.float64)
-    if sky.projection == "lat-long":
-        weight = np.sin(np.pi * (np.arange(len(rows)) + 0.5) / len(rows))
-        red, green, blue = (weight @ rows / weight.sum()).tolist()
-    else:
-        red, green, blue = rows.mean(axis=0).tolist()
-    return red, green, blue

@@ -49,6 +49,7 @@ CONVENTIONS = {
     "directional": "light that flies along direction: irradiance of a surface that faces it; it is not seen",
     "sun": "a disc infinitely far, of the diameter angle (degrees) and radiance irradiance / (pi sin^2(angle / 2)), "
     "the light of whose middle flies along direction",
+    "sphere": "a ball whose outside has the same radiance everywhere, and a black surface; it hides what is behind",
     "sky": "radiance that comes from where a ray meets nothing; an image lies on a sphere, seen from within: "
     "n from its center to the ray's farther hit, u = atan2(n.x, n.y) / (2 pi) + 1/2, v = 1/2 - n.z / 2 (equal-area) or "
     "v = acos(n.z) / pi (lat-long), first row at v = 0; radius null: infinite, n is the ray's direction",
@@ -86,9 +87,7 @@ def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
             "horizontal_fov": scene.camera.fov,
         },
         "objects": [_object(scene, thing, lit) for thing in scene.objects],
-        "lights": [
-            _light(light) for light in scene.lights if lit and shines(light) and not isinstance(light, SphereLight)
-        ],
+        "lights": [_light(light) for light in scene.lights if lit and shines(light)],
         "sky": _sky(scene.sky, sky_file),
     }
 
@@ -120,6 +119,8 @@ def _light(light: Light) -> dict[str, Any]:
             where = {"direction": list(light.way)}
         case SunLight():
             where = {"direction": list(light.way), "angle": light.angle}
+        case SphereLight():
+            where = {"center": list(light.center), "radius": light.radius}
     return {"type": light.kind, **where, light.sends: list(getattr(light, light.sends))}
 
 
@@ -141,10 +142,12 @@ def reach(scene: Scene) -> float:
 def left_out(scene: Scene) -> list[str]:
     """What a scene says and full light transport, as other renderers compute it, does not: field, value and why."""
     lamps = [thing.name for thing in scene.objects if thing.emits] if scene.has_lights else []
-    others = {f"lights[{number}]": light for number, light in enumerate(scene.lights) if isinstance(light, SphereLight)}
-    lamps += ["the sun" for light in scene.lights if isinstance(light, SunLight) and scene.has_lights and shines(light)]
+    dark = [] if scene.toggles.lighting else [*scene.spheres]
+    dark += [light for light in scene.spheres if not shines(light)]
+    seen = [light.kind for light in scene.lights if isinstance(light, SunLight | SphereLight) and shines(light)]
+    lamps += [f"the {kind}" for kind in dict.fromkeys(seen) if scene.toggles.lighting]
     found = [
-        *((True, name, light, "spheres that shine are none of its lights") for name, light in others.items()),
+        *((True, "lights", light, "a sphere that does not shine hides nothing") for light in dark),
         (any(scene.ambient.color), "ambient", scene.ambient.color, "the paper's ambient light is no light transport"),
         (scene.ambient.source == "sky", "ambient.source", "sky", "the sky lights all surfaces, and they each other"),
         (bool(lamps) and not scene.draw_lights, "draw_lights", False, f"the camera sees {', '.join(lamps)} shine"),

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from termwise.scenes.exchange import spheres
 from termwise.scenes.exchange.neutral import describe
 from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
@@ -17,8 +18,9 @@ SUFFIX = ".obj"
 
 def write(scene: Scene, path: Path) -> list[str]:
     """Write a scene as OBJ, and NAME.mtl beside it; return what they do not say, as their comments do."""
-    described = describe(scene)
-    missing = described["left_out"] + left_out(described)
+    given = describe(scene)
+    described, of_triangles = spheres.meshed(given)
+    missing = given["left_out"] + of_triangles + left_out(given)
     comment = [f"# {line}" for line in (f"{described['name']}: not in this file:", *missing)]
     names = material_names([thing["name"] for thing in described["objects"]])
     library = path.with_suffix(".mtl")
@@ -57,7 +59,11 @@ def left_out(described: dict[str, Any]) -> list[str]:
         for thing in described["objects"]
         if _named(thing["name"]) != thing["name"]
     ]
-    found += [f"lights[{number}]: {_said(light)}: OBJ has none" for number, light in enumerate(described["lights"])]
+    found += [
+        f"lights[{number}]: {_said(light)}: OBJ has none"
+        for number, light in enumerate(described["lights"])
+        if light["type"] != "sphere"
+    ]
     if described["sky"] is not None:
         found.append(f"sky: {described['sky']['type']}: OBJ has none")
     found += [

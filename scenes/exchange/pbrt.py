@@ -28,7 +28,7 @@ def write(scene: Scene, path: Path) -> list[str]:
     lines += [f"#   {' '.join(line.split())}" for line in missing]
     lines += _head(described, path)
     for light in described["lights"]:
-        lines.append(_light(light))
+        lines += _sphere(light) if light["type"] == "sphere" else [_light(light)]
     sky = described["sky"]
     if sky is not None and sky["type"] == "constant":
         lines.append(f'LightSource "infinite" "rgb L" [ {_values(sky["radiance"])} ]')
@@ -86,6 +86,17 @@ def _head(described: dict[str, Any], path: Path) -> list[str]:
         "",
         "WorldBegin",
         "",
+    ]
+
+
+def _sphere(light: dict[str, Any]) -> list[str]:
+    return [
+        "AttributeBegin",
+        f"  Translate {_values(light['center'])}",
+        '  Material "diffuse" "rgb reflectance" [ 0 0 0 ]',
+        f'  AreaLightSource "diffuse" "rgb L" [ {_values(light["radiance"])} ]',
+        f'  Shape "sphere" "float radius" [ {light["radius"]!r} ]',
+        "AttributeEnd",
     ]
 
 

@@ -12,7 +12,7 @@ from termwise.reference import backend, scene_xml
 from termwise.scenes.exchange import neutral
 from termwise.scenes.limits import physical
 from termwise.scenes.load import load
-from termwise.scenes.model import PointLight, Scene
+from termwise.scenes.model import PointLight, Scene, SphereLight
 from termwise.scenes.strict import FileError
 from tests.scenes import small
 
@@ -48,6 +48,12 @@ SCENE = f"""<scene version="3.0.0">
   <emitter type="area"><rgb name="radiance" value="9 8 $bright"/></emitter>
 </shape>
 <emitter type="point"><point name="position" x="2" y="2" z="1"/><rgb name="intensity" value="3 4 5"/></emitter>
+<shape type="sphere" id="ball">
+  <point name="center" x="1" y="0" z="0"/><float name="radius" value="0.3"/>
+  <transform name="to_world"><scale value="1.5"/><translate x="0.4" y="4.5" z="-0.5"/></transform>
+  <bsdf type="diffuse"><rgb name="reflectance" value="0 0 0"/></bsdf>
+  <emitter type="area"><rgb name="radiance" value="5 10 30"/></emitter>
+</shape>
 <emitter type="spot">
   <transform name="to_world"><lookat origin="-1, 3, 2" target="0.3, 0, 0.4" up="0, 1, 0"/></transform>
   <float name="cutoff_angle" value="25"/><float name="beam_width" value="10"/>
@@ -94,8 +100,12 @@ def test_names_numbers_and_size_are_those_of_the_file(tmp_path: Path):
     assert scene.resolution == (24, 16)
     assert scene.objects[1].material.color == (0.2, 0.5, 0.8)
     assert scene.objects[3].emission == (9.0, 8.0, 4.0)
-    assert scene.lights[0] == PointLight((2.0, 2.0, 1.0), (3.0, 4.0, 5.0))
-    assert scene.sky.color == scene.ambient.color == (0.1, 0.2, 0.3)
+    ball = scene.lights[0]
+    assert isinstance(ball, SphereLight)
+    assert (ball.center, ball.radiance) == ((1.9, 4.5, -0.5), (5.0, 10.0, 30.0))
+    assert ball.radius == pytest.approx(0.45)
+    assert scene.lights[1] == PointLight((2.0, 2.0, 1.0), (3.0, 4.0, 5.0))
+    assert scene.sky.color == scene.ambient_light == (0.1, 0.2, 0.3)
 
 
 @pytest.mark.parametrize("name", ["cornell_box", "smooth_monkey"])

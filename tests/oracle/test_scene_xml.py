@@ -11,7 +11,18 @@ from termwise import reference
 from termwise.reference import backend, scene_xml
 from termwise.scenes.exchange import panorama
 from termwise.scenes.limits import physical
-from termwise.scenes.model import Camera, DirectionalLight, Material, Mesh, Object, PointLight, Scene, Sky, SpotLight
+from termwise.scenes.model import (
+    Camera,
+    DirectionalLight,
+    Material,
+    Mesh,
+    Object,
+    PointLight,
+    Scene,
+    Sky,
+    SphereLight,
+    SpotLight,
+)
 
 
 def rectangle(name: str, height: float, half: float, *, down: bool = False, **options: object) -> Object:
@@ -35,6 +46,7 @@ def diffuse_scene(sky: Sky) -> Scene:
             PointLight((1.0, -1.5, 2.0), (1.0, 3.0, 2.0)),
             SpotLight((-1.0, 1.5, 2.5), (0.2, 0.0, 0.0), (9.0, 4.0, 1.0), 25.0, 10.0),
             DirectionalLight((0.3, 0.8, -1.0), (0.1, 0.4, 0.8)),
+            SphereLight((-1.2, -2.0, 2.2), 0.3, (4.0, 1.0, 2.0)),
         ),
         sky=sky,
         resolution=(16, 12),
@@ -62,7 +74,7 @@ def test_mitsuba_renders_the_references_image(tmp_path: Path):
     )
     mi = backend.import_mitsuba()
     loaded = mi.load_file(str(tmp_path / "lit.xml"), optimize=False)
-    assert [shape.id() for shape in loaded.shapes()] == ["the ground", "v1_5_ box", "lamp"]
+    assert [shape.id() for shape in loaded.shapes()] == ["the ground", "v1_5_ box", "lamp", "light: 3"]
     box = loaded.shapes()[1]
     vertices = np.array(box.vertex_positions_buffer()).reshape(-1, 3)
     np.testing.assert_array_equal(vertices, scene.objects[1].mesh.vertices)

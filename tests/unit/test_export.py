@@ -183,7 +183,7 @@ def test_materials_of_obj_have_names_of_their_own():
 
 TOKEN = re.compile(r'\s*(?:(#[^\n\r]*)|("(?:[^"\\\n]|\\.)*")|([\[\]])|([^\s"\[\]]+))')
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-COUNTS = {"LookAt": 9, "Scale": 3}
+COUNTS = {"LookAt": 9, "Scale": 3, "Translate": 3}
 NAMED = {
     "Camera",
     "Film",
@@ -300,12 +300,17 @@ def test_pbrt_has_lights_of_all_kinds(tmp_path: Path):
     lights = [(arguments[0], parameters) for word, arguments, parameters in found if word == "LightSource"]
     assert [name for name, _ in lights] == ["point", "spot", "distant", "distant", "infinite"]
     spot, sun = lights[1][1], lights[3][1]
+    at = [word for word, _, _ in found].index("Translate")
+    assert found[at][1] == [1.35, -1.1, 0.45]
+    assert [word for word, _, _ in found[at + 1 : at + 5]] == ["Material", "AreaLightSource", "Shape", "AttributeEnd"]
+    assert found[at + 2][2] == {"rgb L": [3.0, 3.6, 4.2]}
+    assert found[at + 3][1:] == (["sphere"], {"float radius": [0.22]})
     assert (spot["float coneangle"], spot["rgb I"]) == ([16.0], [36.0, 34.0, 30.0])
     np.testing.assert_allclose(spot["float conedeltaangle"], [5.0])
     way = np.subtract(spot["point3 to"], spot["point3 from"])
-    np.testing.assert_allclose(way, given.lights[1].axis, atol=1e-12)  # type: ignore[union-attr]
+    np.testing.assert_allclose(way, given.lights[2].axis, atol=1e-12)  # type: ignore[union-attr]
     assert sun["rgb L"] == [0.75, 0.62, 0.42]
-    np.testing.assert_allclose(np.negative(sun["point3 from"]), given.lights[3].way)  # type: ignore[union-attr]
+    np.testing.assert_allclose(np.negative(sun["point3 from"]), given.lights[4].way)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("size", [(40, 30), (30, 40)])

@@ -121,16 +121,24 @@ def test_a_coat_reflects_its_parts(metallic: float):
 def test_lights_of_all_kinds_go_through_glb(tmp_path: Path):
     given = neutral.diffuse(small("lights"))
     missing = gltf.write(given, tmp_path / "there.glb")
-    assert [line.partition(":")[0] for line in missing if line.startswith("lights")] == ["lights[1]", "lights[3]"]
+    assert [line.partition(":")[0] for line in missing if line.startswith("lights")] == [
+        "lights[1]",
+        "lights[2]",
+        "lights[4]",
+    ]
     found = load(tmp_path / "there.glb", approximate=True)
     point, spot, directional, sun = found.lights
     assert point == given.lights[0]
-    assert isinstance(given.lights[1], SpotLight)
+    ball = found.objects[-1]
+    assert ball.emission == given.lights[1].radiance  # type: ignore[union-attr]
+    area = trimesh.Trimesh(ball.mesh.vertices, ball.mesh.faces).area
+    assert area == pytest.approx(4 * np.pi * 0.22**2, rel=1e-5)
+    assert isinstance(given.lights[2], SpotLight)
     assert isinstance(spot, SpotLight)
-    np.testing.assert_allclose(spot.axis, given.lights[1].axis, atol=1e-12)
+    np.testing.assert_allclose(spot.axis, given.lights[2].axis, atol=1e-12)
     np.testing.assert_allclose(spot.angles, np.radians([11.0, 16.0]))
-    assert (spot.position, spot.intensity) == (given.lights[1].position, given.lights[1].intensity)
-    for read, wrote in ((directional, given.lights[2]), (sun, given.lights[3])):
+    assert (spot.position, spot.intensity) == (given.lights[2].position, given.lights[2].intensity)
+    for read, wrote in ((directional, given.lights[3]), (sun, given.lights[4])):
         assert isinstance(read, DirectionalLight)
         assert isinstance(wrote, DirectionalLight | SunLight)
         np.testing.assert_allclose(read.way, wrote.way, atol=1e-12)
@@ -257,7 +265,7 @@ def test_what_a_file_leaves_open_is_assumed_and_listed(tmp_path: Path):
 
     found = load(changed(tmp_path, bare))
     assert [line.partition(": ")[0] for line in found.substitutions] == ["assumed", "assumed"]
-    assert found.sky.color == found.ambient.color == (1.0, 1.0, 1.0)
+    assert found.sky.color == found.ambient_light == (1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize(

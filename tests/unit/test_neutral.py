@@ -13,7 +13,7 @@ import pytest
 from termwise.reports.engines import asked
 from termwise.scenes.exchange.neutral import SCHEMA, describe, diffuse, left_out, write_neutral
 from termwise.scenes.load import library
-from termwise.scenes.model import Ambient, Camera, Scene, Sky, Toggles
+from termwise.scenes.model import Camera, Scene, Sky, Toggles
 from tests.scenes import small
 
 
@@ -166,16 +166,27 @@ def test_a_file_or_a_folder_is_named(tmp_path: Path):
     assert sorted(each.name for each in (tmp_path / "new").iterdir()) == ["two_cubes.json", "two_cubes.sky.exr"]
 
 
-def test_lights_that_it_has_no_word_for_are_named():
-    """A sphere, one that does not shine too, for it hides things. Engines are not asked for such a scene."""
+def test_lights_of_all_kinds_are_said():
     scene = small("lights")
     described = describe(scene)
-    assert [light["type"] for light in described["lights"]] == ["point", "spot", "directional", "sun"]
-    names = ["lights[1] = SphereLight"]
-    assert [line.partition("(")[0] for line in described["left_out"] if line.startswith("lights")] == names
+    assert [light["type"] for light in described["lights"]] == ["point", "sphere", "spot", "directional", "sun"]
+    assert described["lights"][1] == {
+        "type": "sphere",
+        "center": [1.35, -1.1, 0.45],
+        "radius": 0.22,
+        "radiance": [3.0, 3.6, 4.2],
+    }
+    assert not [line for line in left_out(scene) if line.startswith("lights")]
+    assert {row.absent for row in asked.rows(scene)} == {None}
+    for kind in ("point", "spot", "directional", "sun", "sphere"):
+        assert asked.FEATURES[kind](described)
+        others = [light for light in described["lights"] if light["type"] != kind]
+        assert not asked.FEATURES[kind](described | {"lights": others})
+
+
+def test_a_sphere_that_does_not_shine_hides_things_and_is_named():
+    scene = small("lights")
     dark = attrs.evolve(scene, toggles=attrs.evolve(scene.toggles, lighting=False))
-    assert [line.partition("(")[0] for line in left_out(dark) if line.startswith("lights")] == names
-    absent = {row.absent for row in asked.rows(scene)}
-    assert absent == {"it has a light of the kind 'sphere', which files for other renderers do not say"}
-    points = attrs.evolve(scene, lights=scene.lights[:1], ambient=Ambient(source="sky"))
-    assert not [line for line in left_out(points) if line.startswith("lights")]
+    assert describe(dark)["lights"] == []
+    (line,) = (line for line in left_out(dark) if line.startswith("lights"))
+    assert line.startswith("lights = SphereLight(")
