@@ -283,7 +283,12 @@ def scenes(*, json_: Json = False) -> int:
 
 
 def view(
-    scene: SceneName = "two_cubes", *, port: MaybeInteger = None, browser: bool = True, out: Path = Path("out")
+    scene: SceneName = "two_cubes",
+    *,
+    approximate: Approximate = False,
+    port: MaybeInteger = None,
+    browser: bool = True,
+    out: Path = Path("out"),
 ) -> int:
     """Open a local page on which every input is set and each term is watched while it converges.
 
@@ -301,5 +306,6 @@ def view(
     def announce(address: str) -> None:
         terminal.output.print(f"termwise view: {address} (Ctrl-C ends it)", highlight=False)
 
-    serve(scene, out / "view", port=port, browser=browser, announce=announce)
+    described = terminal.scene(scene, None, approximate=approximate)
+    serve(described, out / "view", port=port, browser=browser, announce=announce)
     return 0

@@ -34,6 +34,7 @@ from termwise.reports.pages.pictures import display
 from termwise.reports.pages.pictures import save as save_png
 from termwise.reports.results.exr import write_exr
 from termwise.scenes.load import library, load
+from termwise.scenes.model import Scene
 from termwise.scenes.save import save
 from termwise.scenes.terms import TERMS, TOTAL, Term
 
@@ -46,12 +47,14 @@ GAMMAS = 1.0, 3.0
 _GONE_S = 30.0
 
 
-def serve(scene: str, folder: Path, *, port: int | None, browser: bool, announce: Callable[[str], object]) -> None:
+def serve(
+    scene: str | Scene, folder: Path, *, port: int | None, browser: bool, announce: Callable[[str], object]
+) -> None:
     """Serve the page until interrupted.
 
     Parameters
     ----------
-    scene : a name of the library or the path of a scene file.
+    scene : a scene, a name of the library, or the path of a scene file.
     folder : all that is saved goes there.
     port : None: a free one.
     browser : whether to open one.
