@@ -19,7 +19,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from termwise.reports.engines.engine import Engine
+from termwise.reports.engines.engine import Engine, Feature, Format
 from termwise.scenes import limits
 from termwise.scenes.exchange import neutral
 from termwise.scenes.limits import Limit
@@ -96,16 +96,26 @@ FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
 """What a scene may need of an engine, and whether a description needs it."""
 
 
+_UNSAID: dict[Format, tuple[Feature, ...]] = {
+    "neutral": (),
+    "mitsuba": ("glossy", "sun"),
+    "gltf": ("glossy", "reflecting-lamp", "spot", "sun", "constant-sky", "image-sky"),
+    "pbrt": ("glossy", "reflecting-lamp", "spot", "sun"),
+    "termwise": ("reflecting-lamp",),
+}
+"""What a format has no exact word for."""
+
+
 def lacking(engine: Engine, asked: Asked) -> str | None:
     """What a scene needs that the engine has not, in a few words; None where it has all."""
     says = engine.says
-    needed = [name for name, needs in FEATURES.items() if needs(asked.described) and name not in says.supports]
-    if needed:
-        return f"the scene needs {', '.join(needed)}, which its file does not name in `supports`"
+    needed = [name for name, needs in FEATURES.items() if needs(asked.described)]
+    if more := [name for name in needed if name not in says.supports]:
+        return f"the scene needs {', '.join(more)}, which its file does not name in `supports`"
+    if unsaid := [name for name in needed if name in _UNSAID[says.scene]]:
+        return f"its format, {says.scene}, has no exact word for {', '.join(unsaid)}"
     if asked.depth is not None and says.scene not in ("mitsuba", "termwise") and not says.names("depth"):
         return "its command has no {depth}"
-    if asked.scene is None and says.scene not in ("neutral", "mitsuba"):
-        return f"its format, {says.scene}, has no word for a lamp that reflects"
     return None
 
 

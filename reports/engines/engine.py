@@ -25,7 +25,7 @@ from termwise.scenes.store import cache_folder
 from termwise.scenes.strict import FileError
 
 SHIPPED = Path(__file__).parent / "shipped"
-Format = Literal["neutral", "mitsuba", "gltf", "pbrt", "obj", "termwise"]
+Format = Literal["neutral", "mitsuba", "gltf", "pbrt", "termwise"]
 Feature = Literal[
     "diffuse",
     "glossy",
@@ -87,8 +87,8 @@ class EngineFile:
     name : of its rows and messages; lower-case words joined by hyphens.
     command : the program and its arguments. A program with a slash in its name is looked for from the file's folder.
     version : a command whose first line of output is its version; without one its program's size and date stand for it.
-    scene : what `{scene}` is: the neutral JSON file; Mitsuba's XML, with samples, seed and depth in it; GLB, pbrt or
-        OBJ; a scene file of ours. See `formats`.
+    scene : what `{scene}` is: the neutral JSON file; Mitsuba's XML, with samples, seed and depth in it; GLB; pbrt;
+        a scene file of ours. See `formats`.
     supports : what it can render; a scene that needs more is ABSENT, with what it needs.
     output : the file that it writes, in `{folder}`, where it runs.
     layer : the one to read where a file has several of colour.

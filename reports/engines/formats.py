@@ -2,8 +2,8 @@
 
 `neutral` holds all of it. `mitsuba` is XML that any reader of Mitsuba's takes: plain values and no plugin of ours,
 meshes as PLY beside it; samples, seed and depth stand in it too. It is written here, and not by Mitsuba, because lamps
-that reflect are no scene of our model, and because an engine may be the only renderer that is installed. `gltf`, `pbrt`
-and `obj` are those of `scenes.exchange`; `termwise` is a scene file of ours.
+that reflect are no scene of our model, and because an engine may be the only renderer that is installed. `gltf` and
+`pbrt` are those of `scenes.exchange`; `termwise` is a scene file of ours.
 """
 
 import importlib
@@ -75,9 +75,7 @@ def _mitsuba(asked: Asked, folder: Path, depth: int | None, spp: int, seed: int)
     for number, thing in enumerate(described["objects"]):
         _shape(root, thing, folder, f"object{number}.ply")
     for light in described["lights"]:
-        emitter = _plugin(root, "emitter", "point")
-        _value(emitter, "point", "position", _numbers(light["position"]))
-        _value(emitter, "rgb", "intensity", _numbers(light["intensity"]))
+        _light(root, light)
     sky = described["sky"]
     if sky is not None and sky["type"] == "constant":
         _value(_plugin(root, "emitter", "constant"), "rgb", "radiance", _numbers(sky["radiance"]))
@@ -118,6 +116,26 @@ def _sensor(root: ElementTree.Element, described: dict[str, Any], spp: int, seed
     sampler = _plugin(sensor, "sampler", "independent")
     _value(sampler, "integer", "sample_count", spp)
     _value(sampler, "integer", "seed", seed)
+
+
+def _light(root: ElementTree.Element, light: dict[str, Any]) -> None:
+    emitter = _plugin(root, "emitter", light["type"])
+    if light["type"] == "directional":
+        _value(emitter, "vector", "direction", _numbers(light["direction"]))
+        _value(emitter, "rgb", "irradiance", _numbers(light["irradiance"]))
+        return
+    _value(emitter, "rgb", "intensity", _numbers(light["intensity"]))
+    if light["type"] == "point":
+        _value(emitter, "point", "position", _numbers(light["position"]))
+        return
+    axis = np.array(light["axis"])
+    target = np.array(light["position"]) + axis
+    up = np.eye(3)[np.argmin(np.abs(axis))]
+    place = ElementTree.SubElement(emitter, "transform", name="to_world")
+    look = {"origin": _numbers(light["position"]), "target": _numbers(target), "up": _numbers(up)}
+    ElementTree.SubElement(place, "lookat", look)
+    _value(emitter, "float", "beam_width", light["beam"])
+    _value(emitter, "float", "cutoff_angle", light["cutoff"])
 
 
 def _shape(root: ElementTree.Element, thing: dict[str, Any], folder: Path, name: str) -> None:
@@ -167,5 +185,5 @@ _WRITERS: dict[str, Callable[[Asked, Path, int | None, int, int], Path]] = {
     "neutral": _neutral,
     "mitsuba": _mitsuba,
     "termwise": _termwise,
-    **{kind: _exchanged(kind) for kind in ("gltf", "pbrt", "obj")},
+    **{kind: _exchanged(kind) for kind in ("gltf", "pbrt")},
 }

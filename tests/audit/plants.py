@@ -467,8 +467,8 @@ PLANTS = (
         "plan: a lamp taken for no light",
         DIRECT,
         _MODEL,
-        "self.toggles.lighting and (shining or any(thing.emits for thing in self.objects))",
-        "self.toggles.lighting and shining",
+        "(any(map(shines, self.lights)) or any(thing.emits for thing in self.objects))",
+        "any(map(shines, self.lights))",
     ),
     Plant(
         "plan: constant sky beyond the window a sample short",

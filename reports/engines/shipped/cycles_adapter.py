@@ -1,4 +1,4 @@
-"""Blender's Cycles for the neutral scene file: python cycles.py SCENE OUTPUT --spp 64 --seed 1 --depth 1000.
+"""Blender's Cycles for the neutral scene file: python cycles_adapter.py SCENE OUTPUT --spp 64 --seed 1 --depth 1000.
 
 Blender as it comes is not what a reference is compared with: a pixel filter wider than a pixel, 12 bounces, clamped
 indirect light, samples that stop early, light sampling that leaves dim lamps out. All that is set here; `--as-it-comes`
