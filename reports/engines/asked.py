@@ -39,22 +39,22 @@ class Asked:
     Attributes
     ----------
     name : as messages call it.
-    described : as `scenes.exchange.neutral` has it.
+    scene : in our model.
+    described : as `scenes.exchange.neutral` has it; a furnace may say more than our model can.
     depth : how often light may scatter at surfaces: 0 is what the camera sees shine, 1 direct light; None: any number.
-    scene : the same in our model; None where that has no word for it.
     noisy : whether images of other seeds must be others.
     """
 
     name: str
+    scene: Scene
     described: dict[str, Any]
     depth: int | None = None
-    scene: Scene | None = None
     noisy: bool = True
 
     @classmethod
     def of(cls, name: str, scene: Scene, depth: int | None = None, *, noisy: bool = True) -> "Asked":
         """A scene of our model."""
-        return cls(name, neutral.describe(scene), depth, scene, noisy)
+        return cls(name, scene, neutral.describe(scene), depth, noisy)
 
     @property
     def resolution(self) -> tuple[int, int]:
@@ -68,8 +68,7 @@ class Asked:
         told = {name: value for name, value in self.described.items() if name not in _UNREAD}
         told["objects"] = [{**thing, "name": ""} for thing in told["objects"]]
         state = hashlib.sha256(json.dumps((told, self.depth)).encode())
-        if self.scene is not None:
-            state.update(self.scene.digest().encode())  # what the model says beside it, and the sky's image
+        state.update(self.scene.digest().encode())  # what the model says beside it, and the sky's image
         return state.hexdigest()
 
 

@@ -42,7 +42,6 @@ def _neutral(asked: Asked, folder: Path, depth: int | None, spp: int, seed: int)
 
 def _termwise(asked: Asked, folder: Path, depth: int | None, spp: int, seed: int) -> Path:
     """Light that scatters once is direct light of the first hit; our renderer knows no other depth."""
-    assert asked.scene is not None
     path = folder / "scene.toml"
     save(asked.scene if depth is None else attrs.evolve(asked.scene, scope="first-hit"), path)
     return path
@@ -51,7 +50,6 @@ def _termwise(asked: Asked, folder: Path, depth: int | None, spp: int, seed: int
 def _exchanged(kind: str) -> Callable[[Asked, Path, int | None, int, int], Path]:
     def written(asked: Asked, folder: Path, depth: int | None, spp: int, seed: int) -> Path:
         module = importlib.import_module(f"termwise.scenes.exchange.{kind}")
-        assert asked.scene is not None
         path = folder / f"scene{module.SUFFIX}"
         module.write(asked.scene, path)
         return path
@@ -60,7 +58,6 @@ def _exchanged(kind: str) -> Callable[[Asked, Path, int | None, int, int], Path]
 
 
 def _texture(asked: Asked) -> np.ndarray:
-    assert asked.scene is not None
     assert asked.scene.sky.texture is not None
     return asked.scene.sky.texture
 
@@ -80,7 +77,6 @@ def _mitsuba(asked: Asked, folder: Path, depth: int | None, spp: int, seed: int)
     if sky is not None and sky["type"] == "constant":
         _value(_plugin(root, "emitter", "constant"), "rgb", "radiance", _numbers(sky["radiance"]))
     elif sky is not None:
-        assert asked.scene is not None
         texels = panorama.latitude_longitude(asked.scene.sky, asked.scene.camera.position)
         openexr.write(folder / "sky.exr", texels)
         emitter = _plugin(root, "emitter", "envmap")

@@ -112,7 +112,7 @@ def _closed_box(albedo: Color, emission: Color, *, depth: int | None = None) -> 
     described = asked.described | {"objects": [asked.described["objects"][0] | {"emission": list(emission)}]}
     exact = light / (1.0 - rho) if depth is None else light * (1.0 + rho)
     formula = "e / (1 - rho)" if depth is None else "e (1 + rho)"
-    return Furnace(attrs.evolve(asked, described=described, scene=None), _constant(tuple(exact)), formula)
+    return Furnace(attrs.evolve(asked, described=described), _constant(tuple(exact)), formula)
 
 
 def _plate(name: str, **lit: Any) -> Scene:

@@ -39,7 +39,7 @@ class EngineReplicate:
     key: str
 
     @property
-    def scene(self) -> "Scene | None":
+    def scene(self) -> "Scene":
         """The scene that it concerns."""
         return self.asked.scene
 

@@ -47,7 +47,6 @@ def test_ours_by_command_has_our_own_bits(tmp_path: Path):
 def test_a_term_through_scenes_is_the_term(name: str, term: str, tmp_path: Path):
     """Of a plate below a large lamp, by a path tracer that knows no terms."""
     (lamp,) = [each.asked.scene for each in furnaces() if each.name.startswith("rectangle")]
-    assert lamp is not None
     scene = attrs.evolve(lamp, ambient=Ambient((0.7, 0.5, 0.3)), scope="first-hit")
     (row,) = (each for each in rows(scene) if each.name == name)
     engine = engines.load(ROOT / "examples" / "tiny_renderer.toml")

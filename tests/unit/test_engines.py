@@ -315,7 +315,6 @@ def test_an_engine_in_python(tmp_path: Path):
     found = termwise.engine(fake(tmp_path).path)
     assert repr(found) == f"<engine fake: {tmp_path / 'fake.toml'}>"
     scene = SCENE.scene
-    assert scene is not None
     image = found.render(scene, samples=3, replicates=2, seed=4, probe=False)
     assert image.images is not None
     assert (image.samples, image.replicates, image.images.shape) == (3, 2, (2, 4, 6, 3))
