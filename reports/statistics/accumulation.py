@@ -395,11 +395,10 @@ class _Sums:
 
         Asked for once all bands are read.
         """
-        cells = self._cells()
-        return {side: _means(*(block_sums(each, side // CELL) for each in cells)) for side in TILE_SIDES}
+        return {side: _means(*(block_sums(each, side // CELL) for each in self.cells)) for side in TILE_SIDES}
 
     def windows(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same over windows of two cells' side, which overlap by one."""
+        """The same over windows of two cells' side, which overlap by one: of a large image the largest array."""
 
         def pairs(values: np.ndarray) -> np.ndarray:
             for axis in (-2, -1):
@@ -407,16 +406,25 @@ class _Sums:
                     values = np.take(values, range(length - 1), axis) + np.take(values, range(1, length), axis)
             return values
 
-        return _means(*(pairs(each) for each in self._cells()))
+        cells, areas = self.cells
+        areas = np.maximum(pairs(areas), 1)
+        values = np.empty((len(QUANTITIES), cells.shape[1], *areas.shape))
+        for channel, of_cells in zip(values[1:], cells, strict=True):
+            np.divide(pairs(of_cells), areas, out=channel)
+        values[0] = luminance_of(np.moveaxis(values[1:], 0, -1))
+        return np.moveaxis(values, 1, 0), areas
 
     def border_means(self) -> tuple[np.ndarray, np.ndarray]:
         """Means (n, 4, borders) over the outermost rows and columns, and their pixels."""
         lines = self.mask[0], self.mask[-1], self.mask[:, 0], self.mask[:, -1]
         return _means(self.borders.transpose(2, 1, 0), np.array([line.sum() for line in lines], dtype=np.float64))
 
-    def _cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums (3, n, rows, columns) and areas of cells."""
-        return np.concatenate(self._rows, axis=2), np.concatenate(self._areas)
+    @cached_property
+    def cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sums (3, n, rows, columns) and areas of cells. Asked for once all bands are read."""
+        found = np.concatenate(self._rows, axis=2), np.concatenate(self._areas)
+        self._rows.clear()
+        return found
 
     def events(self, typical: np.ndarray) -> np.ndarray:
         """(4,): flux of the rare, bright events that either side shows in each quantity, see `welch`.
