@@ -45,7 +45,7 @@ FACTORS = {
 }
 """Factors that have a name: solid angles, halves, luminous efficacy in lm/W."""
 _FACTOR_NEAR = 0.005
-PART = 512
+PART = 256
 """Side in pixels of the part that is judged first, in images of more than twice as many of them."""
 _STEP = 64
 """Places of parts, whole tiles."""
