@@ -688,13 +688,6 @@ PLANTS = (
         "and distance_to(spheres, index, origin, direction) < 0.0",
     ),
     Plant(
-        "lights: one kind at the place of another",
-        ALL_LIGHTS,
-        _LIGHTS,
-        "POINT, FACE, SPOT, DIRECTIONAL, SUN, SPHERE = range(len(KINDS))",
-        "POINT, FACE, SPOT, SUN, DIRECTIONAL, SPHERE = range(len(KINDS))",
-    ),
-    Plant(
         "sky's light: drawn by the map without its Jacobian",
         SKYLIT,
         "renderer/sky_light.py",
