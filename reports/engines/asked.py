@@ -23,7 +23,20 @@ from termwise.reports.engines.engine import Engine, Feature, Format
 from termwise.scenes import limits
 from termwise.scenes.exchange import neutral
 from termwise.scenes.limits import Limit
-from termwise.scenes.model import BLACK, BLACK_SURFACE, Ambient, Object, Scene, Scope, Sky, SphereLight, SunLight
+from termwise.scenes.model import (
+    BLACK,
+    BLACK_SURFACE,
+    Ambient,
+    DirectionalLight,
+    Object,
+    PointLight,
+    Scene,
+    Scope,
+    Sky,
+    SphereLight,
+    SpotLight,
+    SunLight,
+)
 from termwise.scenes.terms import TABLE
 
 TOTAL = "total"
@@ -98,7 +111,7 @@ FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
 _UNSAID: dict[Format, tuple[Feature, ...]] = {
     "neutral": (),
     "mitsuba": ("glossy", "sun"),
-    "gltf": ("glossy", "reflecting-lamp", "spot", "sun", "constant-sky", "image-sky"),
+    "gltf": ("glossy", "reflecting-lamp", "spot", "sun", "sphere", "constant-sky", "image-sky"),
     "pbrt": ("glossy", "reflecting-lamp", "spot", "sun"),
     "termwise": ("reflecting-lamp",),
 }
@@ -136,6 +149,10 @@ class Row:
     absent: str | None = None
 
 
+_UNSEEN = PointLight, SpotLight, DirectionalLight
+"""Lights that no camera sees."""
+
+
 def rows(scene: Scene) -> list[Row]:
     """What is judged of an engine on a scene: all light, and the terms that are light transport of a scene."""
     return [total(scene), _ambient(scene), _direct(scene, "first-hit"), _direct(scene, "all")]
@@ -161,6 +178,8 @@ def _ambient(scene: Scene) -> Row:
     absent = TABLE["ambient"].absent(scene) or _odd(scene)
     if absent is None and not math.isinf(scene.occlusion_range):
         absent = f"its range, {scene.occlusion_range:g}, is none of light: only an infinite one is"
+    if absent is None and any(isinstance(light, SphereLight) for light in scene.lights):
+        absent = "it has a sphere that shines, whose surface would be missing without its light"
     return _term(scene, "ambient", under, 1, limits.correct("ambient", scene.scope), absent, seen=True)
 
 
@@ -169,7 +188,7 @@ def _direct(scene: Scene, scope: Scope) -> Row:
     lit = attrs.evolve(_diffuse(scene, scene.objects), sky=Sky(), ambient=Ambient(), draw_lights=True)
     depth = 1 if scope == "first-hit" else None
     absent = TABLE["direct"].absent(scene) or _odd(scene)
-    lamps = any(thing.emits for thing in scene.objects)
+    lamps = any(thing.emits for thing in scene.objects) or any(type(light) not in _UNSEEN for light in scene.lights)
     lamps |= any(isinstance(light, SunLight | SphereLight) for light in scene.lights)
     return _term(scene, name, lit, depth, limits.correct("direct", scope), absent, seen=lamps)
 

@@ -115,6 +115,13 @@ def _sensor(root: ElementTree.Element, described: dict[str, Any], spp: int, seed
 
 
 def _light(root: ElementTree.Element, light: dict[str, Any]) -> None:
+    if light["type"] == "sphere":
+        ball = _plugin(root, "shape", "sphere")
+        _value(ball, "point", "center", _numbers(light["center"]))
+        _value(ball, "float", "radius", light["radius"])
+        _value(_plugin(ball, "bsdf", "diffuse"), "rgb", "reflectance", "0, 0, 0")
+        _value(_plugin(ball, "emitter", "area"), "rgb", "radiance", _numbers(light["radiance"]))
+        return
     emitter = _plugin(root, "emitter", light["type"])
     if light["type"] == "directional":
         _value(emitter, "vector", "direction", _numbers(light["direction"]))
