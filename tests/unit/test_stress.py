@@ -370,7 +370,7 @@ def test_a_crash_fails_the_row_and_is_told():
 
 def test_unknown_groups_and_rows_are_refused():
     with pytest.raises(
-        ValueError, match="group = 'x': allowed are intersection, shading, radiance, photons, rounding, garbage"
+        ValueError, match="group = 'x': allowed are intersection, shading, radiance, photons, lights, rounding, garbage"
     ):
         stress.measure(groups=("x",))
     with pytest.raises(ValueError, match="case = 'no such row'"):
