@@ -189,8 +189,9 @@ def coated(color: Any, *, metallic: float, f0: float, roughness: float) -> Mater
     f0 : F0 of the dielectric.
     roughness : alpha.
     """
-    gloss = 1.0 - (1.0 - metallic) * (1.0 - f0)
-    lobe = [((1.0 - metallic) * f0 + metallic * c) / gloss if gloss > 0.0 else 0.0 for c in color]
+    gloss = metallic + (1.0 - metallic) * f0
+    # A share that is 1 may come out a rounding above it.
+    lobe = [min(((1.0 - metallic) * f0 + metallic * c) / gloss, 1.0) if gloss > 0.0 else 0.0 for c in color]
     return Material(tuple(color), gloss, float(np.clip(roughness, MIRROR, 1.5)), tuple(lobe))
 
 

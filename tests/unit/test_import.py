@@ -118,6 +118,15 @@ def test_a_coat_reflects_its_parts(metallic: float):
     np.testing.assert_allclose(base, (1 - metallic) * 0.96 * color, atol=1e-15)
 
 
+def test_a_plain_coat_s_lobe_reflects_all_whatever_its_index():
+    """Shares of 1 that come out a rounding above it were refused: without a metal the gloss alone is F0."""
+    for index in np.linspace(1.01, 4.0, 300):
+        f0 = ((index - 1.0) / (index + 1.0)) ** 2
+        found = coated((0.5, 0.5, 0.5), metallic=0.0, f0=f0, roughness=0.2)
+        assert found.gloss == f0
+        np.testing.assert_allclose(found.f0, 1.0, rtol=1e-15)
+
+
 def test_lights_of_all_kinds_go_through_glb(tmp_path: Path):
     given = neutral.diffuse(small("lights"))
     missing = gltf.write(given, tmp_path / "there.glb")
