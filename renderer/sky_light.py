@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from termwise.renderer.jit import device
+from termwise.renderer.lights import running_sum
 from termwise.renderer.sky import sky_radiance
 from termwise.renderer.vector import Vec3, dot, frame, length, mad, scale, sub, to_world
 from termwise.renderer.warp import INV_PI, sin_cos_turn, square_to_cosine_hemisphere
@@ -53,15 +54,12 @@ def from_scene(scene: Scene) -> SkyMap | None:
     if scene.sky.projection == "lat-long":
         edges = np.cos(np.arange(height + 1) / height * math.pi)
         around = around * (edges[:-1] - edges[1:])[:, None]
-    return SkyMap(_running_sum(around.sum(axis=1)), np.array([_running_sum(row) for row in around]))
-
-
-def _running_sum(weights: np.ndarray) -> np.ndarray:
-    return np.concatenate([[0.0], np.cumsum(weights[:-1]) / weights.sum(), [1.0]])
+    return SkyMap(running_sum(around.sum(axis=1)), np.array([running_sum(row) for row in around]))
 
 
 @device
-def _interval(cdf: np.ndarray, u: float) -> int:
+def _interval(cdf: np.ndarray, u: float) -> tuple[int, float]:
+    """Number of the interval of a running sum that u is in, and its place there, below 1."""
     low, high = 0, len(cdf) - 2
     while low < high:
         middle = (low + high) // 2
@@ -69,19 +67,7 @@ def _interval(cdf: np.ndarray, u: float) -> int:
             low = middle + 1
         else:
             high = middle
-    return low
-
-
-@device
-def _row_interval(cdf: np.ndarray, row: int, u: float) -> int:
-    low, high = 0, cdf.shape[1] - 2
-    while low < high:
-        middle = (low + high) // 2
-        if u >= cdf[row, middle + 1]:
-            low = middle + 1
-        else:
-            high = middle
-    return low
+    return low, min((u - cdf[low]) / (cdf[low + 1] - cdf[low]), _BELOW_ONE)
 
 
 @device
@@ -89,13 +75,11 @@ def direction_to_sky(scene: SceneArrays, sky_map: SkyMap, origin: Vec3, u: float
     """Unit direction to a point of the sky, drawn by the map."""
     sky = scene.sky
     height, width = len(sky_map.rows) - 1, sky_map.columns.shape[1] - 1
-    row = _interval(sky_map.rows, v)
-    column = _row_interval(sky_map.columns, row, u)
-    across = (u - sky_map.columns[row, column]) / (sky_map.columns[row, column + 1] - sky_map.columns[row, column])
-    down = (v - sky_map.rows[row]) / (sky_map.rows[row + 1] - sky_map.rows[row])
+    row, down = _interval(sky_map.rows, v)
+    column, across = _interval(sky_map.columns[row], u)
     # u = atan2(n.x, n.y) / (2 pi) + 0.5
-    sin, cos = sin_cos_turn(min((column + min(across, _BELOW_ONE)) / width, _BELOW_ONE))
-    place = (row + min(down, _BELOW_ONE)) / height
+    sin, cos = sin_cos_turn(min((column + across) / width, _BELOW_ONE))
+    place = (row + down) / height
     if sky.equal_area:
         z = 1.0 - 2.0 * place
         radius = 2.0 * math.sqrt(max(0.0, place * (1.0 - place)))

@@ -83,19 +83,19 @@ def emitters_of(scene: Scene) -> Emitters:
     return Emitters(
         kinds,
         np.concatenate([np.arange(count, dtype=np.int32) for count in counts]),
-        _running_sum(power),
-        _running_sum(towards),
+        running_sum(power),
+        running_sum(towards),
         float(towards.sum() / power.sum()) if len(power) else 1.0,
         len(kinds) > 1 or any(KINDS[kind].DRAWS for kind in kinds),
         *arrays,
     )
 
 
-def _running_sum(power: np.ndarray) -> np.ndarray:
-    """Of the probabilities that go as `power`, from 0 to 1."""
-    if not len(power):
+def running_sum(weights: np.ndarray) -> np.ndarray:
+    """Of the probabilities that go as `weights`, from 0 to 1; 0 alone without any."""
+    if not len(weights):
         return np.zeros(1)
-    return np.concatenate([[0.0], np.cumsum(power[:-1]) / power.sum(), [1.0]])
+    return np.concatenate([[0.0], np.cumsum(weights[:-1]) / weights.sum(), [1.0]])
 
 
 def samples_differ(scene: Scene) -> bool:
