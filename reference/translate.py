@@ -102,7 +102,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         ],
         "suns": _suns(scene),
         "emission": [
-            list(radiance) if scene.draw_lights else [0.0] * 3
+            list(radiance) if scene.shows_lights else [0.0] * 3
             for radiance in (*(thing.emission for thing in shapes), *(sphere.radiance for sphere in scene.spheres))
         ],
         "parts": parts,
@@ -195,6 +195,9 @@ def _check_radiances(scene: Scene) -> None:
     named += [
         (f"lights[{number}].{light.sends}", getattr(light, light.sends)) for number, light in enumerate(scene.lights)
     ]
+    if scene.shows_lights:
+        suns = ((number, light) for number, light in enumerate(scene.lights) if isinstance(light, SunLight))
+        named += [(f"lights[{number}]: radiance of the drawn disc", light.radiance) for number, light in suns]
     named += [(f"objects: {thing.name!r}: emission", thing.emission) for thing in scene.objects]
     if scene.sky.texture is not None:
         named.append(("sky.texture", float(scene.sky.texture.max())))

@@ -649,9 +649,14 @@ class Scene:
         return tuple(each for each in self.lights if isinstance(each, SphereLight))
 
     @property
+    def shows_lights(self) -> bool:
+        """Whether the background term shows lights: they are drawn, and on."""
+        return self.draw_lights and self.toggles.lighting
+
+    @property
     def drawn_suns(self) -> tuple[SunLight, ...]:
         """The suns that the background term shows."""
-        drawn = self.draw_lights and self.toggles.lighting
+        drawn = self.shows_lights
         return tuple(each for each in self.lights if drawn and isinstance(each, SunLight) and shines(each))
 
     @property

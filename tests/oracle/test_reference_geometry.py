@@ -8,7 +8,7 @@ import trimesh
 from termwise import reference
 from termwise.reference.geometry import geometry
 from termwise.scenes.limits import Limit
-from termwise.scenes.model import Ambient, Camera, Mesh, Object, PointLight, Scene, Sky
+from termwise.scenes.model import Ambient, Camera, Mesh, Object, PointLight, Scene, Sky, SunLight
 from tests.scenes import small
 
 
@@ -73,6 +73,10 @@ def test_an_object_too_small_for_single_precision_is_refused():
         ({"sky": Sky((0.0, 1e16, 0.0))}, r"sky.color = \(0.0, 1e\+16, 0.0\)"),
         ({"sky": Sky(texture=np.full((2, 4, 3), 1e30, np.float32))}, "sky.texture = 1.*e\\+30"),
         ({"lights": (PointLight((0.0, 0.0, 5.0), (0.0, 0.0, 1e30)),)}, r"lights\[0\].intensity"),
+        (
+            {"draw_lights": True, "lights": (SunLight((0.0, 0.0, -1.0), (0.0, 1e8, 0.0), angle=1e-3),)},
+            r"lights\[0\]: radiance of the drawn disc = \(0.0, 4.*e\+17, 0.0\)",
+        ),
     ],
 )
 def test_light_whose_square_single_precision_cannot_hold_is_refused(change, named):

@@ -259,10 +259,13 @@ def test_background_is_the_sky_and_the_front_of_drawn_lights():
 
     hit = geometry(scene).object == 0
     assert 0.01 < hit.mean() < 0.5
-    for draw, emission in [(False, 0.0), (True, np.array(lamp.emission))]:
-        image = reference.replicate(
-            attrs.evolve(scene, draw_lights=draw), correct("background", "all"), spp=1, seed=SEED
-        )
+    off = Toggles(lighting=False)
+    for changes, emission in [
+        ({}, 0.0),
+        ({"draw_lights": True}, lamp.emission),
+        ({"draw_lights": True, "toggles": off}, 0.0),
+    ]:
+        image = reference.replicate(attrs.evolve(scene, **changes), correct("background", "all"), spp=1, seed=SEED)
         np.testing.assert_allclose(image, np.where(hit[..., None], emission, expected), atol=3e-5)
     behind = attrs.evolve(scene, draw_lights=True, camera=attrs.evolve(camera, position=(1.0, 0.5, -2.0)))
     image = reference.replicate(behind, correct("background", "all"), spp=1, seed=SEED)
