@@ -14,7 +14,7 @@ import numpy as np
 from termwise.renderer.jit import device
 from termwise.renderer.unoccluded import open_sides
 from termwise.renderer.vector import Vec3, vec3
-from termwise.scenes.model import BLACK_SURFACE, Scene
+from termwise.scenes.model import Scene
 
 if TYPE_CHECKING:  # they hold what is defined here
     from termwise.renderer.arrays import SceneArrays
@@ -46,7 +46,7 @@ class Materials(NamedTuple):
 
 def from_scene(scene: Scene, without: Collection[str]) -> Materials:
     """The materials of a scene's objects; `without`: see `arrays.from_scene`."""
-    surfaces = [*(thing.surface for thing in scene.objects), *(BLACK_SURFACE for _ in scene.spheres)]
+    surfaces = scene.surfaces
     emission = [*(thing.emission for thing in scene.objects), *(sphere.radiance for sphere in scene.spheres)]
     lit = scene.toggles.lighting
     return Materials(

@@ -21,7 +21,7 @@ from termwise.renderer.scratch import SEEN_BYTES
 from termwise.renderer.terms import VARIANTS
 from termwise.renderer.terms.variant import CHAINS, Chain, Stored, Variant
 from termwise.renderer.unoccluded import open_sides
-from termwise.scenes.model import BLACK_SURFACE, Scene
+from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE, TERMS, Term, first
 
 # The box around a sphere: corners, and triangles that have all of its edges.
@@ -123,8 +123,7 @@ def may_see(scene: Scene, term: Term = "background") -> np.ndarray:
     width, height = scene.resolution
     # The paper's intersection has absolute tolerances: it may find what is not there.
     seen = np.full((height, width), scene.intersection != "watertight")
-    surfaces = [*(thing.surface for thing in scene.objects), *(BLACK_SURFACE for _ in scene.spheres)]
-    for surface, (rows, columns) in zip(surfaces, _windows(scene), strict=True):
+    for surface, (rows, columns) in zip(scene.surfaces, _windows(scene), strict=True):
         if TABLE[term].has(scene, surface):
             seen[rows, columns] = True
     return seen

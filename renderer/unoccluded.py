@@ -22,11 +22,7 @@ def open_sides(scene: Scene) -> np.ndarray:
     # The paper's intersection has absolute tolerances: it may find what is not there.
     if reach == 0.0 or scene.intersection != "watertight":
         return sides
-    spheres = scene.spheres
-    lows = [thing.mesh.vertices.min(axis=0) for thing in scene.objects]
-    highs = [thing.mesh.vertices.max(axis=0) for thing in scene.objects]
-    lows = np.array([*lows, *(np.subtract(each.center, each.radius) for each in spheres)]).reshape(-1, 3)
-    highs = np.array([*highs, *(np.add(each.center, each.radius) for each in spheres)]).reshape(-1, 3)
+    lows, highs = scene.boxes()
     for index, thing in enumerate(scene.objects):
         apart = np.maximum(np.maximum(lows - highs[index], lows[index] - highs), 0.0)
         gaps = np.delete(np.linalg.norm(apart, axis=1), index)

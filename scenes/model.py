@@ -396,6 +396,11 @@ class Sky:
         """Whether the sky contributes nothing."""
         return not (any(self.color) if self.texture is None else self.texture.any())
 
+    @property
+    def one_color(self) -> Color | None:
+        """What is seen everywhere; None of a texture that is not black."""
+        return BLACK if self.is_black else self.color if self.texture is None else None
+
 
 @attrs.frozen
 class Ambient:
@@ -634,9 +639,7 @@ class Scene:
     @property
     def ambient_light(self) -> Color | None:
         """L_a0, that of a sky of one colour too; None where the ambient light is a textured sky."""
-        if self.ambient.source == "constant":
-            return self.ambient.color
-        return BLACK if self.sky.is_black else self.sky.color if self.sky.texture is None else None
+        return self.ambient.color if self.ambient.source == "constant" else self.sky.one_color
 
     @property
     def has_ambient(self) -> bool:
@@ -647,6 +650,11 @@ class Scene:
     def spheres(self) -> tuple[SphereLight, ...]:
         """The lights that have a surface of their own, a black one, whether they shine or not."""
         return tuple(each for each in self.lights if isinstance(each, SphereLight))
+
+    @property
+    def surfaces(self) -> tuple[Material, ...]:
+        """What is shaded of each object, and behind them of each sphere."""
+        return (*(thing.surface for thing in self.objects), *(BLACK_SURFACE for _ in self.spheres))
 
     @property
     def shows_lights(self) -> bool:
@@ -686,13 +694,18 @@ class Scene:
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Corners of the box around all surfaces, (3,) float64 each; zeros for an empty scene."""
-        if not (self.objects or self.spheres):
+        lows, highs = self.boxes()
+        if not len(lows):
             return np.zeros(3), np.zeros(3)
+        return lows.min(axis=0), highs.max(axis=0)
+
+    def boxes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of the boxes around each object, and behind them each sphere, (O + S, 3) float64 each."""
         lows = [thing.mesh.vertices.min(axis=0) for thing in self.objects]
         highs = [thing.mesh.vertices.max(axis=0) for thing in self.objects]
         lows += [np.subtract(sphere.center, sphere.radius) for sphere in self.spheres]
         highs += [np.add(sphere.center, sphere.radius) for sphere in self.spheres]
-        return np.min(lows, axis=0), np.max(highs, axis=0)
+        return np.reshape(lows, (-1, 3)), np.reshape(highs, (-1, 3))
 
     def digest(self, *, without: tuple[str, ...] = ("name", "exposure", "substitutions")) -> str:
         """sha256 of the content, fields named in `without` left out: equal scenes share cached results."""

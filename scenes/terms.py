@@ -87,9 +87,7 @@ def _specular(scene: Scene, material: Material) -> Color:
 
 def _beyond(scene: Scene) -> Color | None:
     """What is seen beside all objects, where that is one colour."""
-    if scene.drawn_suns:
-        return None
-    return BLACK if scene.sky.is_black else scene.sky.color if scene.sky.texture is None else None
+    return None if scene.drawn_suns else scene.sky.one_color
 
 
 def _by_lights(scene: Scene) -> bool:
