@@ -77,8 +77,8 @@ class Statistics:
     luminance : Comparison of (), the image's luminance, relative to `term_mean`.
     rest : Comparison of (), or None
         Where a few bright pixels are most of the image's mean, which is blind to the others then: luminance of the lit
-        8-px tiles that are darker than it, each relative to the larger of its own mean and the typical one, on average.
-        None elsewhere.
+        8-px tiles that are darker than it, each relative to the larger of its own mean, of both sides, and the typical one,
+        on average. None elsewhere.
     tiles : luminance, red, green and blue per tile of 8, 16 and 32 px, (4, ceil(H/side), ceil(W/side)), relative to the
         larger of the tile's reference mean and the typical one.
     windows : the same of windows of 8 px, one every 4 px, (4, ceil(H/4) - 1, ceil(W/4) - 1).
@@ -475,12 +475,20 @@ class _Sums:
         return stack([compare(means[:, of], areas, typical[of], of) for of in range(len(QUANTITIES))])
 
     def rest(self, compare: Callable[..., Comparison], term_mean: float, typical: float) -> Comparison:
-        """Comparison of (): `typical` times the mean share of the lit tiles that are darker than the image's mean."""
+        """Comparison of (): `typical` times the mean share of the lit tiles that are darker than the image's mean.
+
+        A tile's own mean is that of both sides, each by its precision. By the reference's alone the shares of tiles
+        that noise has darkened there were too large, and their mean with them, however alike both sides are.
+        """
         means, areas = self.tiles[TILE_SIDES[0]]
-        luminance = means[:, 0]
-        reference = luminance[self.sizes[0] :].mean(axis=0)
+        sides = np.split(means[:, 0], [self.sizes[0]])
+        reference = sides[1].mean(axis=0)
         lit = (reference > 0) & (reference < term_mean)
-        share = luminance[:, lit] / np.maximum(reference[lit], typical)
+        noise = [(side.var(axis=0) / max(len(side) - 1, 1))[lit] / reference[lit] ** 2 for side in sides]
+        ours, theirs = (float(np.median(each)) for each in noise)
+        weight = theirs / (ours + theirs) if theirs > 0 else 0.0
+        own = weight * sides[0].mean(axis=0) + (1 - weight) * reference
+        share = means[:, 0, lit] / np.maximum(own[lit], typical)
         return compare(typical * share.mean(axis=1), areas[lit].sum(), 0.0, 0)
 
     def mean_square(self, term_mean: float, reference_is_zero: bool) -> dict[int, tuple[Estimate, ...]]:

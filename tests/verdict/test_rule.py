@@ -223,6 +223,23 @@ def test_a_mean_of_a_few_pixels_certifies_nothing_of_the_others(rng, replicates,
     assert plain.rest is None
 
 
+@pytest.mark.parametrize(("count", "others"), [(4, 4), (16, 4), (4, 16)])
+def test_noise_of_dark_tiles_is_no_bias_of_their_mean(rng, count, others):
+    """Of two sides that are alike; divided by the reference's noisy tiles alone, ours was 2 % too bright of 4 and 4."""
+
+    def lit(n: int, gain: float = 1.0) -> np.ndarray:
+        images = gain * rng.gamma(1 / 9, 9.0, (n, 256, 256, 1)) * np.ones(3)
+        images[:, :4, :4] = 2e5
+        return images
+
+    found = []
+    for gain in (1.0, 1.1):
+        rests = [rest for _ in range(3) if (rest := measure(lit(count, gain), lit(others)).rest)]
+        error = np.sqrt(np.sum([rest.standard_error**2 for rest in rests])) / len(rests)
+        found.append((np.mean([rest.bias for rest in rests]) - (gain - 1)) / error)
+    assert np.abs(found).max() < 3.5
+
+
 def test_words_are_made_for_what_is_named_alone(rng, replicates, picture, monkeypatch):
     """Of two thousand places that are off; at 1080p there may be half a million."""
     ours, reference = replicates(rng, 1.2 * picture(96, 96), noise=0.02), replicates(rng, picture(96, 96), noise=0.02)
