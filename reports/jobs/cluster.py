@@ -334,6 +334,8 @@ class _Run:
         self.sent: dict[Future, _Batch] = {}
         self.most = 1  # jobs in a batch, of what a moment has
         self.refused: set[str] = set()
+        self.full: set[str] = set()  # workers that could not write: asked where there is no other
+        self.failures: Counter[Names] = Counter()
         self.workers: list[str] = []
         self.asked = -math.inf
 
@@ -366,7 +368,8 @@ class _Run:
     def _free(self) -> str | None:
         """The worker that has least to do, if it can have more."""
         load = Counter(batch.worker for batch in self.sent.values())
-        worker = min(self._alike(), key=load.__getitem__)
+        alike = self._alike()
+        worker = min([each for each in alike if each not in self.full] or alike, key=load.__getitem__)
         return worker if load[worker] < _AHEAD else None
 
     def _alike(self) -> list[str]:
@@ -411,7 +414,6 @@ class _Run:
             self.terms,
             key=f"{names[0][-1]}-{uuid.uuid4().hex[:8]}",
             pure=False,
-            retries=_RETRIES,
             workers=[worker],
             allow_other_workers=True,  # where it is lost
         )
@@ -426,6 +428,14 @@ class _Run:
         except distributed.KilledWorker as error:
             what = dict.fromkeys(job.what for job in (batch.jobs[0], batch.jobs[-1]))
             raise ClusterError(f"{' to '.join(what)}: is given up: {' '.join(str(error).split())}") from None
+        except OSError:
+            self.failures.update(batch.names)
+            if self.client.status != "running" or any(self.failures[each] > _RETRIES for each in batch.names):
+                raise
+            # Not by dask's `retries`: it would ask the same worker again.
+            self.full.add(batch.worker)
+            self.todo.extendleft(reversed(batch.jobs))
+            return
         future.release()
         done = [each for each in done if not self._refused(each)]
         self.todo.extendleft(reversed(batch.jobs[len(done) :]))

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import attrs
+import distributed
 import numpy as np
 import pytest
 
@@ -65,7 +66,7 @@ class Note:
         time.sleep(self.seconds)
         if self.fault == "error":
             raise RuntimeError("no kernel\nfor this")
-        if self.fault == "disk":
+        if self.fault == "disk" or (self.fault == "a disk" and distributed.get_worker().name == 0):
             raise OSError("no space left")
         write_atomically(self.files(seat.cache)[0], lambda path: path.write_text(str(os.getpid()), "utf-8"))
         return True, 0.0
@@ -175,6 +176,12 @@ def test_an_error_is_the_job_s_own(two: Cluster, tmp_path: Path):
 def test_a_full_disk_ends_the_run(two: Cluster, tmp_path: Path):
     with pytest.raises(OSError, match="no space left"):
         done(two, [Note(small("two_cubes", 4), 0, fault="disk")], tmp_path)
+
+
+def test_what_a_worker_cannot_write_another_does(two: Cluster, tmp_path: Path):
+    scene = small("two_cubes", 4)
+    jobs = [Note(scene, number, fault="a disk") for number in range(20)]
+    assert sorted(outcome.job.number for outcome in done(two, jobs, tmp_path)) == list(range(20))
 
 
 def test_what_is_dropped_is_not_sent(two: Cluster, tmp_path: Path):
