@@ -33,11 +33,13 @@ def stages(console: Console, *, quiet: bool = False, where: Path | str = "") -> 
         yield lambda name: silent
     elif not console.is_terminal:
         lines = _Lines(console, str(where))
-        threading.Thread(target=lines.beat, name="termwise progress", daemon=True).start()
+        beat = threading.Thread(target=lines.beat, name="termwise progress", daemon=True)
+        beat.start()
         try:
             yield lines.stage
         finally:
             lines.end()
+            beat.join()  # no line comes after the results
     else:
         columns = (
             TextColumn("{task.description}"),
