@@ -6,8 +6,9 @@ judged as the given ones were, and the cause is said only if no error of theirs 
 distance `D`, `D² = Σ_c δ_c² + Σ_b θ_b` (the mean of each channel, the shape over blocks of each size), is gone: noise
 that hides an error is no explanation of it.
 
-Of a large image a part is judged first, the one where most of the error is left: a cause that an error of this part
-refutes, at the level that each place has in the whole, is not tried on the rest.
+Of a large image a part is judged first, the one where most of the error is left: a cause that a tile or a window of it
+refutes, at the level that each has in the whole, is not tried on the rest. Mean and shape of a part refute nothing: the
+whole is allowed the same of its own, and an error of a part is less of it.
 """
 
 import itertools
@@ -197,7 +198,7 @@ def hints(
             found = _measured(correction, ours, reference, groups, mask, statistics.exact, part)
             # Each of its places has the level that it has in the whole.
             tests = 0 if found is None else math.ceil(found.tests * halves.pixels / (found.height * found.width))
-            if found and rule.decide(found, tests=tests, margin=margin, level=level).verdict == "BIASED":
+            if found and rule.place_is_off(found, tests=max(tests, 1), level=level):
                 return None
         found = _measured(correction, ours, reference, groups, mask, statistics.exact)
         if found is None:

@@ -368,6 +368,13 @@ def _place_errors(
     return findings
 
 
+def place_is_off(statistics: Statistics, *, tests: int, level: float) -> bool:
+    """Whether a tile or a window is proven to be off by rule 2c: what holds of a part holds of the whole, too."""
+    limit = 0.0 if statistics.reference_is_zero else PLACE_LIMIT
+    places = statistics.tiles[PLACE_SIDE], statistics.windows
+    return any(_outside(each, _place_level(each, level / tests), limit)[0].size for each in places)
+
+
 def _place_level(comparison: Comparison, level: float) -> np.ndarray:
     """Of each place in each quantity (4, ...)."""
     shares = np.reshape(SHARES, (-1, *(1,) * (comparison.bias.ndim - 1)))
