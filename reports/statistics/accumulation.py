@@ -77,8 +77,8 @@ class Statistics:
     luminance : Comparison of (), the image's luminance, relative to `term_mean`.
     rest : Comparison of (), or None
         Where a few bright pixels are most of the image's mean, which is blind to the others then: luminance of the lit
-        8-px tiles that are darker than it, each relative to the larger of its own mean, of both sides, and the typical one,
-        on average. None elsewhere.
+        8-px tiles that are darker than it, each relative to the larger of its own mean, of both sides, and the typical
+        one, on average. None elsewhere.
     tiles : luminance, red, green and blue per tile of 8, 16 and 32 px, (4, ceil(H/side), ceil(W/side)), relative to the
         larger of the tile's reference mean and the typical one.
     windows : the same of windows of 8 px, one every 4 px, (4, ceil(H/4) - 1, ceil(W/4) - 1).
