@@ -24,6 +24,7 @@ from termwise.reports.cli.terminal import (
     TermName,
     Threads,
 )
+from termwise.scenes.exchange import neutral
 from termwise.scenes.load import library, load
 from termwise.scenes.terms import TERMS
 
@@ -33,11 +34,12 @@ def render(
     *,
     term: TermName = None,
     variant: list[str] | None = None,
-    samples: Integer = 16,
+    samples: MaybeInteger = None,
     replicates: Integer = 1,
     seed: Integer = 0,
     threads: Threads = None,
     resolution: Resolution = None,
+    diffuse: Flag = False,
     adaptive: bool = False,
     approximate: Approximate = False,
     engine: OneEngine = None,
@@ -52,7 +54,9 @@ def render(
     variant
         An estimator of the term, its default if not given. Without --term: TERM=NAME, once for each term.
     samples
-        Samples per pixel and replicate; powers of two are best.
+        Samples per pixel and replicate, powers of two are best; 16 if not given, of an engine what its file says.
+    diffuse
+        Every gloss is 0, which every engine can say.
     replicates
         Independent repetitions that are averaged; two or more give a variance.
     seed
@@ -64,6 +68,7 @@ def render(
         Files go to OUT/render.
     """
     described = terminal.scene(scene, resolution, approximate=approximate)
+    described = neutral.diffuse(described) if diffuse else described
     terminal.check_seed(seed)
     folder = terminal.folder(out / "render")
     if engine is not None:
@@ -72,10 +77,11 @@ def render(
         from termwise.reports.judging.engines import engine as other
 
         found = other(engine).render(described, samples=samples, replicates=replicates, seed=seed, threads=threads)
-        settings = {"samples": samples, "replicates": replicates, "seed": seed, "engine": engine}
+        settings = {"samples": found.samples, "replicates": replicates, "seed": seed, "engine": engine}
         return _write_images(described, {"total": found}, folder, settings, json_)
     from termwise import renderer
 
+    samples = 16 if samples is None else samples
     terms = TERMS if term is None else (term,)
     variants = _variants(terms, variant or []) if term is None else _variant(term, variant or [])
     with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:

@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import attrs
-import numpy as np
 
 from termwise.reports.engines.engine import Engine, Feature, Format
 from termwise.scenes import limits
@@ -35,7 +34,6 @@ from termwise.scenes.model import (
     Sky,
     SphereLight,
     SpotLight,
-    SunLight,
 )
 from termwise.scenes.terms import TABLE
 
@@ -188,8 +186,7 @@ def _direct(scene: Scene, scope: Scope) -> Row:
     lit = attrs.evolve(_diffuse(scene, scene.objects), sky=Sky(), ambient=Ambient(), draw_lights=True)
     depth = 1 if scope == "first-hit" else None
     absent = TABLE["direct"].absent(scene) or _odd(scene)
-    lamps = any(thing.emits for thing in scene.objects) or any(type(light) not in _UNSEEN for light in scene.lights)
-    lamps |= any(isinstance(light, SunLight | SphereLight) for light in scene.lights)
+    lamps = any(thing.emits for thing in scene.objects) or any(not isinstance(light, _UNSEEN) for light in scene.lights)
     return _term(scene, name, lit, depth, limits.correct("direct", scope), absent, seen=lamps)
 
 
@@ -222,8 +219,3 @@ def _odd(scene: Scene) -> str | None:
         if (value := getattr(scene, name)) != usual:
             return f"it has {name} = {value!r}, which is no light transport"
     return None if scene.camera.pixel == "jitter" else f"it has camera.pixel = {scene.camera.pixel!r}, no box filter"
-
-
-def combined(row: Row, images: list[np.ndarray]) -> np.ndarray:
-    """The image of a row (K, H, W, 3) from those of its parts."""
-    return np.sum([sign * stack for (sign, _), stack in zip(row.parts, images, strict=True)], axis=0)

@@ -323,6 +323,22 @@ def test_an_engine_in_python(tmp_path: Path):
         found.render(scene)
 
 
+def test_render_by_command_takes_a_scene_without_gloss_and_the_samples_of_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for name in ("tiny_renderer.py", "tiny_renderer.toml"):
+        (tmp_path / name).write_text((ROOT / "examples" / name).read_text().replace("spp = 16", "spp = 3"))
+    words = ["render", "cornell_box", "--engine", str(tmp_path / "tiny_renderer.toml"), "--resolution", "6", "4"]
+    words += ["--out", str(tmp_path / "out"), "--json"]
+    with pytest.raises(EngineError, match="the scene needs glossy"):
+        cli.app(words, exit_on_error=False, result_action="return_value")
+    capsys.readouterr()
+    assert cli.app([*words, "--diffuse"], exit_on_error=False, result_action="return_value") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["settings"]["samples"] == 3
+    assert min(found["terms"]["total"]["mean"]) > 0.0
+
+
 def test_a_term_is_a_scene_less_what_shines_in_it():
     monkey = load.load("monkey")
     total, ambient, first, every = rows(monkey)
