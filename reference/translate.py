@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 import attrs
 import numpy as np
 
+from termwise.scenes.meshes import ply
 from termwise.scenes.model import (
     DirectionalLight,
     Light,
@@ -78,7 +79,8 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
     _check_angles(scene)
     shapes, parts = gathered(scene)
     for number, thing in enumerate(shapes):
-        write_ply(folder / _mesh_file(number), thing.mesh, canonical)
+        points = canonical.points(thing.mesh.vertices)
+        ply.write(folder / _mesh_file(number), points, thing.mesh.normals, thing.mesh.faces)
     if scene.sky.texture is not None:
         np.save(folder / "sky.npy", scene.sky.texture)
     return {
@@ -415,25 +417,3 @@ def _rgb(color: Any) -> dict[str, Any]:
 
 def _mesh_file(number: int) -> str:
     return f"object{number}.ply"
-
-
-def write_ply(path: Path, mesh: Mesh, canonical: Canonical) -> None:
-    """Write binary PLY, little-endian float32, vertices in their order and none merged."""
-    columns = [canonical.points(mesh.vertices)]
-    names = ["x", "y", "z"]
-    if mesh.normals is not None:
-        columns.append(mesh.normals)
-        names += ["nx", "ny", "nz"]
-    faces = np.empty(len(mesh.faces), np.dtype([("count", "u1"), ("indices", "<i4", 3)]))
-    faces["count"], faces["indices"] = 3, mesh.faces
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(mesh.vertices)}",
-        *(f"property float {name}" for name in names),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
-    vertices = np.ascontiguousarray(np.hstack(columns), "<f4")
-    path.write_bytes("\n".join(header).encode() + b"\n" + vertices.tobytes() + faces.tobytes())

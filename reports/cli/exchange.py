@@ -12,15 +12,6 @@ from termwise.scenes.exchange import neutral
 
 Format = Literal["neutral", "mitsuba", "gltf", "pbrt", "obj"]
 
-# Loaded when asked for: Mitsuba writes its own XML.
-_MODULES: dict[Format, str] = {
-    "neutral": "termwise.scenes.exchange.neutral",
-    "mitsuba": "termwise.reference.scene_xml",
-    "gltf": "termwise.scenes.exchange.gltf",
-    "pbrt": "termwise.scenes.exchange.pbrt",
-    "obj": "termwise.scenes.exchange.obj",
-}
-
 
 def export(
     scene: SceneName,
@@ -45,7 +36,7 @@ def export(
     output
         The file, or a folder for a file of the scene's name; out/export if not given.
     """
-    module = importlib.import_module(_MODULES[to])
+    module = importlib.import_module(f"termwise.scenes.exchange.{to}")
     described = terminal.scene(scene, resolution, approximate=approximate)
     if diffuse:
         described = neutral.diffuse(described)

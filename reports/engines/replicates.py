@@ -13,7 +13,7 @@ import numpy as np
 from termwise.reports.engines import running
 from termwise.reports.engines.asked import Asked
 from termwise.reports.engines.engine import Engine, EngineError
-from termwise.scenes.store import cache_folder, write_atomically
+from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
 
 if TYPE_CHECKING:
     from termwise.reports.jobs.cells import Seat
@@ -28,7 +28,8 @@ class EngineReplicate:
     ----------
     spp : samples per pixel.
     seed, number : of the run, and of the replicate: they name the engine's own seed.
-    key : sha256 of all that decides the image but the number: command, version and adapter, scene, samples, seed.
+    key : sha256 of all that decides the image but the number: command, version and adapter, scene, samples, seed,
+        and our sources that write the scene.
     """
 
     engine: Engine
@@ -99,7 +100,9 @@ def replicate(engine: Engine, asked: Asked, *, spp: int, seed: int, number: int)
     ------
     EngineError : the engine is not here.
     """
-    key = hashlib.sha256(repr((engine.digest, asked.digest, spp, seed)).encode()).hexdigest()
+    # What the scene is written by decides too.
+    sources = sources_digest(ROOT / "reports" / "engines", ROOT / "scenes" / "exchange")
+    key = hashlib.sha256(repr((engine.digest, asked.digest, spp, seed, sources)).encode()).hexdigest()
     return EngineReplicate(engine, asked, spp, seed, number, key)
 
 

@@ -44,6 +44,21 @@ Column = tuple[np.ndarray, np.ndarray]
 """Values of all rows of a property, one row behind the other, and how many each row has."""
 
 
+def write(path: Path, vertices: np.ndarray, normals: np.ndarray | None, faces: np.ndarray) -> None:
+    """Write binary PLY, little-endian float32, vertices (V, 3) in their order and none merged; triangles (F, 3)."""
+    columns, names = [vertices], ["x", "y", "z"]
+    if normals is not None:
+        columns.append(normals)
+        names += ["nx", "ny", "nz"]
+    polygons = np.empty(len(faces), np.dtype([("count", "u1"), ("indices", "<i4", 3)]))
+    polygons["count"], polygons["indices"] = 3, faces
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header += [f"property float {name}" for name in names]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    content = np.ascontiguousarray(np.hstack(columns), "<f4")
+    path.write_bytes("\n".join(header).encode() + content.tobytes() + polygons.tobytes())
+
+
 def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) float64 and triangles (F, 3) int64, see `scenes.meshes.read`."""
     data = path.read_bytes()

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 import termwise
-from termwise.reference import backend, scene_xml
 from termwise.reports.engines import engine as engines
-from termwise.reports.engines import formats
 from termwise.reports.engines.asked import Asked, rows
 from termwise.reports.engines.engine import Engine
 from termwise.reports.engines.furnaces import furnaces
@@ -21,7 +19,7 @@ from termwise.reports.engines.replicates import Here, collected, replicates
 from termwise.reports.engines.running import seed_of
 from termwise.reports.judging.engines import against
 from termwise.scenes.exchange import neutral
-from termwise.scenes.model import Ambient, DirectionalLight, PointLight, Sky, SphereLight, SpotLight
+from termwise.scenes.model import Ambient
 from termwise.scenes.store import ROOT
 from termwise.scenes.terms import TERMS, total
 from tests.scenes import small
@@ -71,7 +69,11 @@ def test_an_adapter_against_the_real_renderer(name: str, tmp_path: Path):
     for each in furnaces():
         if each.name.startswith("point") or each.asked.depth == 1:
             (image,) = taken(engine, each.asked, tmp_path, spp=64)
-            assert np.allclose(image.mean(axis=(0, 1)), each.exact.mean(axis=(0, 1)), rtol=0.05), each.name
+            off, exact = image - each.exact, each.exact.mean(axis=(0, 1))
+            error = off.std(axis=(0, 1), ddof=1) / np.sqrt(off[..., 0].size)
+            # What is not noise: the rule by which the exact image is averaged over pixels, and float32.
+            assert (np.abs(off.mean(axis=(0, 1))) < 5 * error + 1e-3 * exact).all(), each.name
+            assert (error < 0.01 * exact).all(), each.name
 
 
 @pytest.mark.slow
@@ -86,21 +88,3 @@ def test_the_reference_of_a_scene_is_all_light_and_knows_objects_by_name():
     judged = termwise.judge(ours, truth, mask=lit < 2.0, hint=False, **places)
     assert judged.verdict != "BIASED", judged.sentence
     assert "back wall" in {region.region for region in judged.regions}
-
-
-def test_xml_that_is_written_without_mitsuba_is_what_mitsuba_writes(tmp_path: Path):
-    """Of every light that both have a word for: by Mitsuba's own parser and integrator."""
-    mitsuba = backend.import_mitsuba()
-    (lamp,) = [each.asked.scene for each in furnaces() if each.name.startswith("rectangle")]
-    lights = (
-        PointLight((0.3, 0.2, 0.6), (0.8, 0.4, 0.2)),
-        SpotLight((-0.5, 0.2, 1.2), (0.1, -0.1, -1.0), (8.0, 4.0, 2.0), 50.0, 20.0),
-        DirectionalLight((0.2, 0.1, -1.0), (1.0, 2.0, 3.0)),
-        SphereLight((0.4, 0.1, 0.9), 0.2, (3.0, 2.0, 1.0)),
-    )
-    scene = attrs.evolve(lamp, lights=lights, sky=Sky((0.1, 0.2, 0.3)))
-    scene_xml.write(scene, tmp_path / "theirs.xml")
-    files = formats.write("mitsuba", Asked.of("lit", scene), tmp_path / "ours", depth=None, spp=1, seed=1), "theirs.xml"
-    ours, theirs = (mitsuba.load_file(str(tmp_path / file)) for file in files)
-    images = [np.array(mitsuba.render(each, spp=4096, seed=3)).mean(axis=(0, 1)) for each in (ours, theirs)]
-    assert np.allclose(*images, rtol=0.015)

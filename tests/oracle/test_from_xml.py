@@ -8,8 +8,8 @@ import pytest
 import trimesh
 
 from termwise import reference
-from termwise.reference import backend, scene_xml
-from termwise.scenes.exchange import neutral
+from termwise.reference import backend
+from termwise.scenes.exchange import mitsuba, neutral
 from termwise.scenes.limits import physical
 from termwise.scenes.load import load
 from termwise.scenes.model import PointLight, Scene, SphereLight
@@ -111,7 +111,7 @@ def test_names_numbers_and_size_are_those_of_the_file(tmp_path: Path):
 @pytest.mark.parametrize("name", ["cornell_box", "smooth_monkey"])
 def test_an_export_comes_back(name: str, tmp_path: Path):
     given = neutral.diffuse(small(name, 40, 30))
-    scene_xml.write(given, tmp_path / "there.xml")
+    mitsuba.write(given, tmp_path / "there.xml")
     found = load(tmp_path / "there.xml")
     assert found.substitutions == ()
     for mine, theirs in zip(found.objects, given.objects, strict=True):
@@ -125,7 +125,7 @@ def test_an_export_comes_back(name: str, tmp_path: Path):
 
 def test_gloss_comes_back_listed(tmp_path: Path):
     given = small("cornell_box")
-    scene_xml.write(given, tmp_path / "there.xml")
+    mitsuba.write(given, tmp_path / "there.xml")
     with pytest.raises(FileError, match="short block: roughconductor"):
         load(tmp_path / "there.xml")
     found = load(tmp_path / "there.xml", approximate=True)
@@ -137,7 +137,7 @@ def test_gloss_comes_back_listed(tmp_path: Path):
 
 
 def test_an_environment_is_where_mitsuba_has_it(tmp_path: Path):
-    scene_xml.write(small("two_cubes"), tmp_path / "there.xml")
+    mitsuba.write(small("two_cubes"), tmp_path / "there.xml")
     found = load(tmp_path / "there.xml", approximate=True)
     texture = found.sky.texture
     assert texture is not None

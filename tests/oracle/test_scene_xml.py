@@ -8,7 +8,9 @@ import pytest
 import trimesh
 
 from termwise import reference
-from termwise.reference import backend, scene_xml
+from termwise.reference import backend
+from termwise.reports.engines.furnaces import furnaces
+from termwise.scenes.exchange import mitsuba as exchanged
 from termwise.scenes.exchange import panorama
 from termwise.scenes.limits import physical
 from termwise.scenes.model import (
@@ -64,7 +66,7 @@ def sky_of_texels() -> Sky:
 @pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="a million paths, one by one")
 def test_mitsuba_renders_the_references_image(tmp_path: Path):
     scene, count, spp = diffuse_scene(Sky((0.2, 0.4, 0.8))), 8, 128
-    assert scene_xml.write(scene, tmp_path / "lit.xml") == ["objects: 'v1.5: box': is called 'v1_5_ box'"]
+    assert exchanged.write(scene, tmp_path / "lit.xml") == ["objects: 'v1.5: box': is called 'v1_5_ box'"]
     limit = reference.shared(scene, physical("direct"))
     ours = np.array(
         [
@@ -90,7 +92,7 @@ def test_mitsuba_renders_the_references_image(tmp_path: Path):
 
 def test_mitsubas_sky_is_seen_where_ours_is(tmp_path: Path):
     scene = diffuse_scene(attrs.evolve(sky_of_texels(), radius=50.0, projection="equal-area"))
-    scene_xml.write(scene, tmp_path / "lit.xml")
+    exchanged.write(scene, tmp_path / "lit.xml")
     mi = backend.import_mitsuba()
     sky = mi.load_file(str(tmp_path / "lit.xml")).environment()
     random = np.random.default_rng(5)
@@ -107,7 +109,7 @@ def test_mitsubas_sky_is_seen_where_ours_is(tmp_path: Path):
 def test_names_that_mitsuba_has_itself_are_changed(tmp_path: Path):
     named = [rectangle(name, float(z), 1.0) for z, name in enumerate(("sensor", "a.b", "a_b", "a:b"))]
     scene = attrs.evolve(diffuse_scene(Sky()), objects=tuple(named), lights=())
-    missing = scene_xml.write(scene, tmp_path / "lit.xml")
+    missing = exchanged.write(scene, tmp_path / "lit.xml")
     loaded = backend.import_mitsuba().load_file(str(tmp_path / "lit.xml"), optimize=False)
     assert [shape.id() for shape in loaded.shapes()] == ["sensor_", "a_b", "a_b_", "a_b__"]
     assert len(missing) == 4
@@ -116,7 +118,21 @@ def test_names_that_mitsuba_has_itself_are_changed(tmp_path: Path):
 def test_what_glossy_surfaces_lose_is_in_the_file(tmp_path: Path):
     glossy = rectangle("plate", 1.0, 1.0, material=Material((0.5, 0.5, 0.5), 0.5, 0.3, (0.9, 1.0, 0.04)))
     scene = attrs.evolve(diffuse_scene(Sky()), objects=(glossy,))
-    (line,) = scene_xml.write(scene, tmp_path / "lit.xml")
+    (line,) = exchanged.write(scene, tmp_path / "lit.xml")
     assert "'plate': gloss = 0.5" in line
     assert line in (tmp_path / "lit.xml").read_text()
     backend.import_mitsuba().load_file(str(tmp_path / "lit.xml"))
+
+
+def test_lamps_that_reflect_depth_and_samples_are_said(tmp_path: Path):
+    """A closed box of emission e and albedo rho, in which light scatters once, shines e (1 + rho)."""
+    (once,) = (each for each in furnaces() if each.asked.depth == 1)
+    path = tmp_path / "box.xml"
+    exchanged.write_described(once.asked.described, once.asked.scene, path, spp=32, seed=7, depth=1)
+    mi = backend.import_mitsuba()
+    loaded = mi.load_file(str(path))
+    assert loaded.sensors()[0].sampler().sample_count() == 32
+    off = np.array(mi.render(loaded), np.float64) - once.exact
+    error = off.std(axis=(0, 1), ddof=1) / np.sqrt(off[..., 0].size)
+    assert (np.abs(off.mean(axis=(0, 1))) < 5 * error + 1e-5).all()
+    assert (error < 0.01 * once.exact[0, 0]).all()

@@ -14,7 +14,7 @@ import trimesh
 
 from termwise.reports import cli
 from termwise.scenes import meshes
-from termwise.scenes.exchange import gltf, neutral, obj, panorama, pbrt
+from termwise.scenes.exchange import gltf, mitsuba, neutral, obj, panorama, pbrt
 from termwise.scenes.model import Camera, Material, Mesh, Object, PointLight, Scene, Sky
 from tests.scenes import small
 
@@ -412,7 +412,7 @@ def test_pbrts_sky_lies_beside_its_file(tmp_path: Path):
 
 # The command
 
-FORMATS = {"neutral": ".json", "gltf": ".glb", "pbrt": ".pbrt", "obj": ".obj"}
+FORMATS = {"neutral": ".json", "mitsuba": ".xml", "gltf": ".glb", "pbrt": ".pbrt", "obj": ".obj"}
 
 
 def run(*words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -454,6 +454,6 @@ def test_export_refuses_a_name_of_another_format(tmp_path: Path, capsys: pytest.
 def test_diffuse_is_exact_in_all_formats():
     """Of what they can say of surfaces: nothing of a material is listed, but that pbrt makes spectra of colours."""
     described = neutral.describe(neutral.diffuse(scene()))
-    for module in (gltf, obj, pbrt):
+    for module in (gltf, mitsuba, obj, pbrt):
         said = [line for line in module.left_out(described) if "gloss" in line or "lobe" in line]
         assert said == []
