@@ -298,7 +298,7 @@ def _glossy(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: s
         index = value("eta", width=1)
         alpha = MIRROR if node.plugin == "plastic" else value("alpha", width=1)
         found.instead(name, node.plugin, "a lobe over a diffuse base, equal at normal incidence")
-        f0 = ((index - 1.0) / (index + 1.0)) ** 2
+        f0 = _of_index(index)
         color = _mean(mi, found, name, node, "diffuse_reflectance", made)
         return coated(color, metallic=0.0, f0=f0, roughness=alpha)
     if node.plugin == "principled":

@@ -15,6 +15,7 @@ import PIL.Image
 from termwise.scenes.exchange.imported import LONGEST, Import, coated, look
 from termwise.scenes.meshes.glb import File, described
 from termwise.scenes.model import Color, DirectionalLight, Material, PointLight, Scene, SpotLight
+from termwise.scenes.srgb import decoded
 
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _F0 = 0.04
@@ -160,7 +161,7 @@ def _mean(found: Import, file: File, name: str, feature: str, holder: Any, *, en
     except OSError as error:
         raise found.refuse(name, f"{feature}: an image that cannot be read ({error})") from None
     if encoded:
-        texels = np.where(texels <= 0.04045, texels / 12.92, ((texels + 0.055) / 1.055) ** 2.4)
+        texels = decoded(texels)
     return texels.mean(axis=(0, 1))
 
 

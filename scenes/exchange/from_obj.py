@@ -14,6 +14,7 @@ from termwise.scenes.exchange.imported import MIRROR, Import
 from termwise.scenes.meshes import obj
 from termwise.scenes.meshes.polygons import triangulate
 from termwise.scenes.model import BLACK, Color, Material, Scene
+from termwise.scenes.srgb import decoded
 from termwise.scenes.strict import FileError
 
 _TRANSMITS = (4, 6, 7, 9)
@@ -120,7 +121,7 @@ def _mean(path: Path) -> np.ndarray:
         texels = np.asarray(PIL.Image.open(path).convert("RGB"), float) / 255.0
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return np.where(texels <= 0.04045, texels / 12.92, ((texels + 0.055) / 1.055) ** 2.4).mean(axis=(0, 1))
+    return decoded(texels).mean(axis=(0, 1))
 
 
 def _library(path: Path) -> dict[str, _Look]:
