@@ -480,7 +480,8 @@ def test_nothing_is_skipped_that_contributes(compiled):
         scene = shrunk(load(name), compiled, 8)
         for term in TERMS:
             if skipped(scene, term) is None and term != "background":
-                assert render(scene, term, samples=1).mean.any(), (name, term)
+                # Nine pixels, as plain Python has them, meet what is glossy by few samples.
+                assert render(scene, term, samples=1 if compiled else 8).mean.any(), (name, term)
 
 
 def test_plan_gives_a_reason_for_every_step():
