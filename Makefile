@@ -7,7 +7,7 @@ OUT    ?= out
 # Processes of the main test lane (each compiles kernels and renders) and of the audit: more than the cores is no gain.
 JOBS   ?= 2
 
-.PHONY: help install compare variants view bench stress docs engines gallery quick test audit lint format clean distclean
+.PHONY: help install compare variants view bench stress docs engines gallery quick test exam audit lint format clean distclean
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -53,10 +53,15 @@ docs: .venv/.installed ## Build the manual, without network, where any warning i
 	@.venv/bin/python -m sphinx -W --keep-going -q -d $(OUT)/.doctrees docs $(OUT)/docs
 	@echo "$(OUT)/docs/index.html"
 
-test: .venv/.installed ## Run the tests, then those of the kernels again as plain Python
+test: .venv/.installed ## Run all tests that take some seconds at most, then those of the kernels again as plain Python
 	@.venv/bin/python -m tests.warm $(JOBS)
-	.venv/bin/python -m pytest -q -n $(JOBS)
-	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) tests/kernels
+	.venv/bin/python -m pytest -q -n $(JOBS) -m "not slow"
+	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) -m "not slow" tests/kernels
+
+exam: .venv/.installed ## Run the tests that `make test` leaves out: levels by simulation, killed runs, chains against their twins
+	@.venv/bin/python -m tests.warm $(JOBS)
+	.venv/bin/python -m pytest -q -n $(JOBS) -m slow
+	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) -m slow tests/kernels
 
 quick: .venv/.installed ## Tests of a minute or so, for work on the sources: no Mitsuba, no browser, nothing slow
 	@.venv/bin/python -m tests.warm $(JOBS)

@@ -63,6 +63,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[faults.Tree]:
         yield faults.Tree()
 
 
+@pytest.mark.slow
 def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree):
     """The gain is exact, the sources stay as they are, and what follows in the same copy has no fault."""
     source = (ROOT / GAIN.path).read_bytes()
@@ -94,6 +95,7 @@ def test_a_fault_in_no_image_is_caught_by_its_test(tree):
     assert "test_strangers_are_refused" in found.text
 
 
+@pytest.mark.slow
 def test_faults_and_controls_are_shown_by_an_executor(tree, monkeypatch):
     """Those of a case and of a test, each without a fault too; what an executor's process copied it uses again."""
     refused = next(plant for plant in UNSEEN if "any origin" in plant.name)

@@ -235,6 +235,7 @@ def numbers(page):
     }
 
 
+@pytest.mark.slow
 def test_every_page_loads_without_complaint_and_without_network(context, run):
     pages = sorted([*run.glob("*.html"), *run.glob("scenes/*.html")])
     assert len(pages) == 2 + 2 * len(SCENES)
@@ -561,6 +562,7 @@ def test_without_javascript_the_static_pictures_stand(browser, run):
     context.close()
 
 
+@pytest.mark.slow
 def test_a_single_file_holds_every_page(context, run, tmp_path):
     alone = tmp_path / "mailed.html"
     alone.write_bytes(single.write(run).read_bytes())
@@ -596,6 +598,7 @@ def test_a_single_file_holds_every_page(context, run, tmp_path):
     assert again.complaints == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "width"), [("light", 400), ("dark", 1300)])
 @pytest.mark.parametrize("name", ["index.html", "method.html", f"scenes/{SCENE}.html", f"scenes/{SCENE}.viewer.html"])
 def test_axe_finds_nothing_serious(browser, run, name, scheme, width):
@@ -620,6 +623,7 @@ def test_axe_finds_nothing_serious(browser, run, name, scheme, width):
     assert [(each["id"], [node["target"] for node in each["nodes"]][:3]) for each in serious] == []
 
 
+@pytest.mark.slow
 def test_panels_of_a_chart_stand_one_above_the_other_where_it_is_narrow(context, run):
     """Side by side their axes' titles ran into each other on a screen of 400 px."""
     page = opened(context, (run / f"scenes/{SCENE}.html").as_uri()).page

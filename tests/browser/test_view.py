@@ -149,6 +149,7 @@ def painted(scene: Scene, name: str, **changes) -> Scene:
     return attrs.evolve(scene, objects=tuple(things))
 
 
+@pytest.mark.slow
 def test_the_picture_is_that_of_render(page, small):
     expected = shown(load(small))
     np.testing.assert_array_equal(pixels(page), expected["total"])
@@ -164,6 +165,7 @@ def test_an_input_renders_what_it_touches(page, small):
     assert "kept: ambient, direct" in page.locator("[role=status]").first.inner_text()
 
 
+@pytest.mark.slow
 def test_the_curve_is_that_of_the_reports_viewer(page, small):
     """Gamma in place of sRGB's curve, to the bit; a wrong one is refused, and the picture stays."""
     image = render_terms(load(small), dict.fromkeys(TERMS), samples=256)
@@ -182,6 +184,7 @@ def test_the_curve_is_that_of_the_reports_viewer(page, small):
     np.testing.assert_array_equal(pixels(page), expected)
 
 
+@pytest.mark.slow
 def test_a_variant_and_the_camera_too(page, small):
     page.get_by_label("Estimators: ambient", exact=True).click()
     page.get_by_role("option", name="paper", exact=True).click()
@@ -200,6 +203,7 @@ def test_a_switch_changes_the_plan(page):
     page.wait_for_function("document.querySelector('table[aria-label=Plan]').innerText.includes('lighting is off')")
 
 
+@pytest.mark.slow
 def test_a_wrong_value_is_refused_in_its_place(page):
     before = pixels(page)
     enter(page, "tall block", "gloss (paper: g)", "1.5")
@@ -211,6 +215,7 @@ def test_a_wrong_value_is_refused_in_its_place(page):
     expect(page.get_by_text("allowed is a number")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_undo_redo_by_keyboard(page):
     field = page.get_by_label("Camera: field of view (paper: FOV, degrees)", exact=True)
     before = source(page), field.input_value()
@@ -224,6 +229,7 @@ def test_undo_redo_by_keyboard(page):
         expect(field).to_have_value(expected[1])
 
 
+@pytest.mark.slow
 def test_the_camera_turns_by_arrow_keys_and_mouse(page):
     field = page.get_by_label("Camera: position x (scene units)")
     page.get_by_text("Camera", exact=True).click()
@@ -240,6 +246,7 @@ def test_the_camera_turns_by_arrow_keys_and_mouse(page):
     expect(field).not_to_have_value(values[1])
 
 
+@pytest.mark.slow
 def test_saved_scene_and_copied_command_give_the_picture(page, folder, tmp_path):
     changed(page, "tall block", "gloss (paper: g)", "0.4")
     page.get_by_label("name", exact=True).fill("glossy")
@@ -258,6 +265,7 @@ def test_saved_scene_and_copied_command_give_the_picture(page, folder, tmp_path)
         assert image.tobytes() == theirs[name].tobytes()
 
 
+@pytest.mark.slow
 def test_names_outside_the_folder_are_refused(page, folder):
     page.get_by_label("name", exact=True).fill("../escaped")
     page.get_by_role("button", name="save scene").click()
@@ -273,6 +281,7 @@ def test_a_scene_that_does_not_load_keeps_the_last(page):
     np.testing.assert_array_equal(pixels(page), before)
 
 
+@pytest.mark.slow
 def test_two_tabs_do_not_disturb_each_other(page, tab, server):
     other = tab()
     other.goto(server[0])
@@ -307,6 +316,7 @@ def refine_for_ever(page) -> None:
     page.wait_for_function("document.body.innerText.includes('· refining')")
 
 
+@pytest.mark.slow
 def test_a_closed_tab_stops_its_work(page, server):
     refine_for_ever(page)
     wait_until(lambda: busy(server[1]))
@@ -314,6 +324,7 @@ def test_a_closed_tab_stops_its_work(page, server):
     wait_until(lambda: not busy(server[1]))
 
 
+@pytest.mark.slow
 def test_a_tab_that_was_away_finds_its_state(page, server):
     """The work rests meanwhile; the state, what can be undone and the samples are still there."""
     before = source(page)
@@ -349,6 +360,7 @@ def test_nothing_is_asked_of_the_network(tab, server):
     assert all(address.startswith((server[0], "data:", "ws:" + server[0][5:])) for address in addresses)
 
 
+@pytest.mark.slow
 def test_the_truth_arrives_and_is_cancelled(page):
     page.get_by_role("button", name="render the reference").click()
     page.get_by_text(re.compile(r"[1-9]\d* of 16 replicates")).wait_for()
@@ -364,6 +376,7 @@ def test_the_truth_arrives_and_is_cancelled(page):
     page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
 
 
+@pytest.mark.slow
 def test_every_scene_of_the_library_has_a_page(page):
     """Infinite distances included: what the browser's number fields do not know."""
     for name in ("monkey", "two_cubes"):

@@ -203,6 +203,7 @@ def test_distant_light_is_hidden_across_the_scene():
     assert not hidden.any()
 
 
+@pytest.mark.slow
 def test_a_drawn_sun_stands_before_the_sky():
     """Its radiance is added within half its diameter alone; the pixels beside all objects are not skipped."""
     light = SunLight((0.0, -1.0, 0.0), (1.0, 0.5, 0.25), angle=20.0)
@@ -315,6 +316,7 @@ def test_rays_meet_a_sphere_where_it_is():
     assert met > 300
 
 
+@pytest.mark.slow
 def test_a_sphere_hides_ambient_light(compiled):
     """AO under it is `1 - sin² a cos t`, whether it shines or not: to the byte."""
     light = attrs.evolve(SPHERE, center=(0.0, 0.0, 1.0))
@@ -327,6 +329,7 @@ def test_a_sphere_hides_ambient_light(compiled):
     assert renderer.render(off, "ambient", samples=samples, seed=1).mean.tobytes() == found.tobytes()
 
 
+@pytest.mark.slow
 def test_a_sphere_is_in_the_way():
     """Of the camera, of the sky, and of another light's; it is drawn where lights are."""
     above = DirectionalLight((0.0, 0.0, -1.0), (1.0, 1.0, 1.0))

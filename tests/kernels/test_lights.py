@@ -53,6 +53,7 @@ def replicates(scene: Scene, without: tuple[str, ...], count: int, samples: int)
     return np.array(images).mean(axis=(1, 2))
 
 
+@pytest.mark.slow
 def test_point_lights_add_up(compiled):
     """E / pi = sum I cos / (pi d²) of those above the floor; the choice by power has many times the variance."""
     scene = scene_of(points(12))

@@ -453,6 +453,7 @@ def emitted(
         )
 
 
+@pytest.mark.slow
 def test_bytes_of_a_map():
     """Three vectors and a face a photon, and the cells."""
     photons = emitted(closed_box(), 0, 50, first_hits=True)

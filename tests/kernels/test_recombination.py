@@ -55,6 +55,7 @@ def test_one_vertex_is_linear_in_its_weight(scene, term, changes, weight, compil
     np.testing.assert_allclose(other, half * (weight(0.75) / weight(0.5)), rtol=ROUNDING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("term", "changes"), [("direct", {"scope": "all"}), ("specular", {"max_bounces": 2})])
 def test_what_a_path_meets_twice_is_not_linear(term, changes, compiled):
     """Light after two bounces has the square of the weight: a sweep of gloss needs these terms anew."""
@@ -66,6 +67,7 @@ def test_what_a_path_meets_twice_is_not_linear(term, changes, compiled):
     assert not np.allclose(many, few * share, rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", TERMS)
 def test_a_toggle_drops_its_term_and_no_other(term, compiled):
     """The picture with a term switched off is the sum of the others' images, bit for bit."""

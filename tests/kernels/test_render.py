@@ -133,6 +133,7 @@ def test_unit_sphere_first_hit(compiled):
     np.testing.assert_allclose(image[..., 0], expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["path", "next-event", "photon-map"])
 def test_unit_sphere_all_bounces(variant, compiled):
     """1.0 for albedo .5 and I = pi: E_all lies between the extremes of E_dir over the facets, divided by 1 - rho.
@@ -158,6 +159,7 @@ def test_unit_sphere_all_bounces(variant, compiled):
     assert error < (0.01 if compiled else 0.2)
 
 
+@pytest.mark.slow
 def test_nearest_is_the_paper_s_estimate_times_k_minus_one_over_k(compiled):
     """The same photons, hence the same images to the last bits but for the factor."""
     scene = shrunk(unit_sphere(), compiled, 6)
@@ -474,6 +476,7 @@ def test_a_skip_changes_no_byte(term, scene, reason, compiled):
             assert image.tobytes() == with_skip.tobytes()
 
 
+@pytest.mark.slow
 def test_nothing_is_skipped_that_contributes(compiled):
     """The converse: on the library, a term is skipped only where its image, rendered anyway, is zero."""
     for name in library():

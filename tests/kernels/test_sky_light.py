@@ -136,6 +136,7 @@ def test_what_the_sky_sends_to_an_open_floor(name: str):
     np.testing.assert_allclose(found, by_quadrature(sky, (0.3, 0.2, 0.0)), rtol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", [name for name in VARIANTS["ambient"] if name != "paper-loop"])
 def test_every_variant_looks_the_sky_up(variant: str, compiled):
     """Beside a wall to the east of the point, which hides half of the sky; without occlusion all of it is seen."""

@@ -126,6 +126,7 @@ def lit_plate() -> tuple[Scene, np.ndarray]:
     return scene, np.repeat(exact[None, ..., None], 3, axis=-1)
 
 
+@pytest.mark.slow
 def test_progressive_photon_mapping(monkeypatch):
     """16 to 512 passes of 40 photons, bias and noise both: a = 2/3, within 0.1.
 

@@ -33,6 +33,7 @@ def taken(engine: Engine, asked: Asked, cache: Path, *, spp: int, seed: int = 1,
     return collected(jobs, cache).stack
 
 
+@pytest.mark.slow
 def test_ours_by_command_has_our_own_bits(tmp_path: Path):
     scene = small("cornell_box", 8, 6, ambient=Ambient(), draw_lights=True)
     ((_, asked),) = rows(scene)[0].parts

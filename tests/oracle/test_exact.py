@@ -38,6 +38,7 @@ def decided(case: exact.Case) -> tuple[dict[str, Any], dict[str, Any]]:
     return measurement.decided(own, own.statistics.tests, []), measurement.decided(correct, own.statistics.tests, [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.name} {case.variant.name}")
 def test_every_variant_has_its_limit(case: exact.Case):
     own, correct = decided(case)

@@ -117,6 +117,7 @@ def undisturbed(files: Path) -> tuple[Any, list[str], int]:
     return results(files), pages(files), int((files / "renames").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_killed_and_run_again_gives_the_same(seed: int, files: Path, undisturbed: tuple[Any, list[str], int]):
     """A kill at a random rename, among replicates, images or pages, then a run to the end."""
@@ -130,6 +131,7 @@ def test_killed_and_run_again_gives_the_same(seed: int, files: Path, undisturbed
     assert pages(files) == names
 
 
+@pytest.mark.slow
 def test_two_runs_at_once_in_one_folder(files: Path, undisturbed: tuple[Any, list[str], int]):
     expected, names, _ = undisturbed
     afresh(files)
@@ -139,6 +141,7 @@ def test_two_runs_at_once_in_one_folder(files: Path, undisturbed: tuple[Any, lis
     assert pages(files) == names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["out", "cache"])
 def test_a_folder_that_may_not_be_written_is_one_line(name: str, files: Path):
     afresh(files)

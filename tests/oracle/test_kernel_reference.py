@@ -58,6 +58,7 @@ def lattice(n: int) -> np.ndarray:
 # Masses.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", POWERS)
 def test_mass_of_a_triangle(shape):
     """Against adaptive cubature in barycentric coordinates, triangles around, beside and above the point."""
@@ -258,6 +259,7 @@ def test_flux_of_a_point_light_on_a_square(height, beside):
     assert flux.std(ddof=1) == pytest.approx(deviation, rel=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighted", [True, False])
 def test_flux_in_a_closed_box(weighted):
     """4 π I / (1 - rho) lands in all, and with first hits left out rho of it; unweighted, rho is P in every channel.
@@ -397,6 +399,7 @@ def test_what_is_not_supported_is_refused():
         reference.replicate(box, Limit("direct", scope="first-hit", kernel=kernel), spp=1, seed=1)
 
 
+@pytest.mark.slow
 def test_interpolated_normals_have_the_limit_of_paths():
     """A coarse ball, whose normals are up to 20° off its faces', lights the box it hangs in: |z| < 4 against `path`.
 
@@ -449,6 +452,7 @@ def compare(name: str, variant: str, kernel: Kernel, kind: verdict.Kind, *, maps
     return outcome.verdict, (first.mean(axis=0) - second.mean(axis=0)) / error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAPS)
 def test_renderer_next_event_is_its_twin(name):
     """Light sampling plus the progressive Simpson kernel, radii of all passes: EQUIVALENT, and |z| < 3.5 of 30 dof."""
@@ -458,6 +462,7 @@ def test_renderer_next_event_is_its_twin(name):
     assert (np.abs(z) < 3.5).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAPER_MAPS)
 def test_renderer_paper_is_its_twin(name):
     """The k nearest of all photons, as many emitted on both sides: AS PREDICTED, and |z| < 3.5 of 30 dof.

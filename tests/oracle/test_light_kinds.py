@@ -76,6 +76,7 @@ def theirs_of(scene: Scene, limit: Limit, spp: int) -> np.ndarray:
     return np.array([reference.replicate(scene, limit, spp=spp, seed=2, replicate=k) for k in range(16)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_next_event_agrees(kind: str):
     """Shadows, penumbrae and the edge of the spot in the picture; a tenth more is told apart."""
@@ -88,6 +89,7 @@ def test_next_event_agrees(kind: str):
     assert np.median(relative) < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_photon_maps_agree_with_their_kernel_reference(kind: str):
     """Photons of both sides, in one kernel; with the k nearest their number counts too."""

@@ -184,6 +184,7 @@ LEVEL = 1e-3
 PROVEN = 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("term", "variant"), EVERY)
 def test_radiance_times_a_power_of_two(term: Term, variant: str):
     """Every product and sum scales exactly, and no decision may depend on how bright the light is."""
@@ -352,6 +353,7 @@ def test_a_lamp_split_into_its_triangles(term: Term, variant: str):
         np.testing.assert_array_equal(rendered(split_lamp(scene, across=False), term, variant), image)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS["direct"])
 def test_a_lamp_split_across_in_the_mean(variant: str):
     """Its halves as two lamps: Welch's t over 16 replicates. Half of it left out is proven."""
@@ -366,6 +368,7 @@ def test_a_lamp_split_across_in_the_mean(variant: str):
 # The roulette's probability.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["photon-map", "next-event"])
 def test_survival_changes_no_mean(variant: str):
     """P = .2, .5, .9 and 1 in a closed box of albedo .4: by Welch's t the images agree with that of P = albedo.

@@ -93,6 +93,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     return call
 
 
+@pytest.mark.slow
 def test_a_planted_bias_is_opened_where_it_is(folder: Path, command: Command):
     status, output, _ = command("inspect", folder / "compare", "--term", "ambient", "--variant", "cosine", "--json")
     found = json.loads(output)

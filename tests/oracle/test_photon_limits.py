@@ -79,6 +79,7 @@ def progressive_mse(passes: int, photons: int, radius: float) -> float:
     return (A * square.mean() / 4) ** 2 + variance.sum() / passes**2
 
 
+@pytest.mark.slow
 def test_progressive_error_falls_as_the_law_says(plane):
     """Mean over 1, 8 and 64 passes of 100 photons, 300 runs: the MSE is the closed form's, which falls as N^(-2/3).
 
@@ -187,6 +188,7 @@ def image_means(scene: Scene, variant: str, count: int, samples: int) -> np.ndar
     )
 
 
+@pytest.mark.slow
 def test_extrapolation_in_a_box_agrees_with_path():
     """One pass of each radius, .3, .42 and .6: the largest is off `path` by more than the extrapolation's error."""
     scene = small_box(Material((0.5, 0.6, 0.7)), photons=Photons(count=20_000))
@@ -217,6 +219,7 @@ def full_transport(glossy_box) -> np.ndarray:
     return np.mean(images, axis=(1, 2), dtype=float)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="a million paths, one by one")
 @pytest.mark.parametrize("variant", ["photon-map", "next-event", "nearest"])
 def test_photons_that_scatter_fully_against_mitsuba(variant, glossy_box, full_transport):

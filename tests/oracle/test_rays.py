@@ -133,6 +133,7 @@ def edge_distance(scene: Scene, film: np.ndarray, faces: np.ndarray) -> np.ndarr
 EDGE = 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", library())
 def test_geometry_images(name, record_property):
     """Depth, normal, object and face through the centres of 128 x 128 pixels: equal in all that are not on an edge.

@@ -33,6 +33,7 @@ def lit_scene(sky: Sky) -> Scene:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="a million paths, one by one")
 @pytest.mark.parametrize("sky", [Sky((0.2, 0.4, 0.8)), Sky(texture=TEXTURE, radius=6.0)], ids=["constant", "texture"])
 def test_parts_add_up_to_plain_path(sky):

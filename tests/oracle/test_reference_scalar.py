@@ -63,6 +63,7 @@ def means(spp: int) -> dict[str, list[list[float]]]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="there is nothing to compare with")
 def test_scalar_agrees_with_the_vectorised_backend():
     """Two-sample z per channel over 8 replicates each, at the level that 21 tests need."""

@@ -342,6 +342,7 @@ def moved(scene: Scene, scale: float, shift: np.ndarray) -> Scene:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1.0, 1024.0), (1e4, 0.0)])
 @pytest.mark.parametrize("term", ["ambient", "direct", "specular"])
 def test_size_and_place_do_not_matter(cubes, term, scale, shift):
@@ -355,6 +356,7 @@ def test_size_and_place_do_not_matter(cubes, term, scale, shift):
     assert np.abs(other - image).mean() < 2e-3 * image.mean()
 
 
+@pytest.mark.slow
 def test_seeds(cubes):
     """Equal seeds: equal bits. Another seed or replicate, a different image."""
     limit = correct("specular", "first-hit")

@@ -44,6 +44,7 @@ def audited(scene: Scene, term: Any, folder: Path, *, spp: int = 640, change: An
     return {row["test"]: row["word"] for row in rows}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", TERMS)
 @pytest.mark.parametrize("name", NAMES)
 def test_second_integrators_agree(name: str, term: str, tmp_path: Path):
@@ -69,6 +70,7 @@ def test_a_drift_is_found(tmp_path: Path):
     assert audited(small("cornell_box"), "direct", tmp_path, change=drift)["halves"] == audits.DISAGREES
 
 
+@pytest.mark.slow
 def test_a_wrong_weight_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Samples of the lobe without their masking G1(wo): value and density of the second integrator have it."""
     backend.import_mitsuba()
@@ -111,6 +113,7 @@ def test_which_limits_have_a_second_integrator():
         assert not reference.has_second(attrs.evolve(scene, **change), correct("direct", "all"))
 
 
+@pytest.mark.slow
 def test_a_reference_that_disagrees_judges_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Second integrators three times as bright: rows of the three terms and their sum have no verdict, and say why."""
     monkeypatch.setattr(run, "cache_folder", lambda: tmp_path / "cache")

@@ -28,6 +28,7 @@ def black(scene, samples, seed):
     return np.zeros((*scene.resolution[::-1], 3))
 
 
+@pytest.mark.slow
 def test_a_wrong_estimator_is_caught(tmp_path):
     cli.runs.run_file(EXAMPLE)
     assert registered("ambient") == ("gamma-space",)
@@ -52,6 +53,7 @@ def test_a_wrong_estimator_is_caught(tmp_path):
     assert sorted(prefixes) == [1, 2, 4]
 
 
+@pytest.mark.slow
 def test_later_looks_call_an_estimator_for_new_replicates_alone(tmp_path, monkeypatch):
     """A noisy one, undecided at 4 replicates: with a budget each (seed, count) is asked for once."""
     monkeypatch.setattr(run, "cache_folder", lambda: tmp_path / "cache")
@@ -109,6 +111,7 @@ def _small(name: str) -> study.Study:
     )
 
 
+@pytest.mark.slow
 def test_what_it_made_is_kept_like_a_kernels(tmp_path, monkeypatch):
     """A second run calls nothing; another function of the same name is called anew."""
     monkeypatch.setattr(run, "cache_folder", lambda: tmp_path / "cache")
@@ -135,6 +138,7 @@ def test_what_it_made_is_kept_like_a_kernels(tmp_path, monkeypatch):
     assert len(asked.read_text()) == 2 * 4 * 2
 
 
+@pytest.mark.slow
 def test_what_has_no_fingerprint_leaves_nothing_behind(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "cache_folder", lambda: tmp_path / "cache")
     generator = np.random.default_rng(0)

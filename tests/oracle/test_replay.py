@@ -40,6 +40,7 @@ EVERY = [(variant, "next-event") for table in VARIANTS.values() for variant in t
 EVERY += [(VARIANTS["specular"]["vndf"], chain) for chain in ("path", "paper")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variant", "chain"), EVERY, ids=lambda value: getattr(value, "name", value) if value else None
 )

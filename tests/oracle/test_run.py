@@ -129,6 +129,7 @@ def results(first: Finished) -> dict[str, Any]:
     return json.loads((first.folder / "results.json").read_text("utf-8"), parse_constant=refuse)
 
 
+@pytest.mark.slow
 def test_one_object_on_standard_output(first: Finished, results: dict[str, Any]):
     assert first.status in (0, 1)  # so few samples may be wrong by chance; the status is tested below
     assert json.loads(first.output) == results
@@ -308,6 +309,7 @@ def test_a_second_run_computes_nothing(first: Finished, compare: Callable[..., F
     assert again.status == first.status
 
 
+@pytest.mark.slow
 def test_another_folder_computes_nothing_either(first: Finished, compare: Callable[..., Finished]):
     """What is kept is found by content; only the measurements are made again."""
     elsewhere = compare("--json", out="elsewhere")
@@ -319,6 +321,7 @@ def test_another_folder_computes_nothing_either(first: Finished, compare: Callab
         assert row | {"compile_seconds": 0} == other | {"compile_seconds": 0}
 
 
+@pytest.mark.slow
 def test_replicates_are_allotted_where_intervals_are_wide(
     first: Finished, results: dict[str, Any], files: Path, compare: Callable[..., Finished]
 ):
@@ -374,6 +377,7 @@ def test_a_budget_already_spent_gives_the_bits_of_a_run_without(
         xarray.testing.assert_identical(group, other)
 
 
+@pytest.mark.slow
 def test_a_budget_extends_undecided_rows_alone(
     first: Finished, results: dict[str, Any], sequential_run: Finished, files: Path
 ):
@@ -458,6 +462,7 @@ def test_what_is_missing_is_computed_alone(first: Finished, compare: Callable[..
     assert {path: path.stat().st_mtime_ns for path in kept[2:]} == before
 
 
+@pytest.mark.slow
 def test_a_damaged_report_is_written_again(first: Finished, compare: Callable[..., Finished]):
     for damage, named in (
         (lambda: (first.folder / "results.json").write_text('{"schema": 1, "settings": {'), True),
@@ -474,6 +479,7 @@ def test_a_damaged_report_is_written_again(first: Finished, compare: Callable[..
         assert all((first.folder / name).is_file() for name in ("results.json", "results.nc", "index.html"))
 
 
+@pytest.mark.slow
 def test_a_run_that_is_interrupted_goes_on(first: Finished, compare: Callable[..., Finished], files: Path):
     (files / "seeded.toml").write_text((files / "study.toml").read_text().replace("scenes", "seed = 2\nscenes"))
     intact: Any = cells.take
@@ -533,6 +539,7 @@ def test_exit_status_1_where_an_error_is_proven(compare: Callable[..., Finished]
     assert words["ambient", "cosine"] == "BIASED"
 
 
+@pytest.mark.slow
 def test_a_scene_that_fails_loses_no_others_results(compare: Callable[..., Finished], files: Path):
     """The run ends with status 2 and names the scene first; the same command tries it again; a run of one fails."""
     (files / "other.toml").write_text(SCENE.replace("gloss = 0.3", "gloss = 0.2"))
@@ -573,6 +580,7 @@ def test_seconds_of_replicates_add_up(results: dict[str, Any]):
             assert sum(row["replicate_seconds"]) == pytest.approx(row["seconds"])
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_run(first: Finished, compare: Callable[..., Finished]):
     other = compare("--json", "--seed", "5", out="seed 5")
     ours, theirs = json.loads(other.output), json.loads(first.output)
@@ -618,6 +626,7 @@ def _larger(files: Path, name: str) -> str:
     return f"{name}.toml"
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_one_line_and_the_same_command_goes_on(first: Finished, files: Path):
     kept, larger = files / "cache", _larger(files, "signal")
     before = len(list(kept.rglob("[!.]*.np[yz]")))
@@ -643,6 +652,7 @@ def test_ctrl_c_is_one_line_and_the_same_command_goes_on(first: Finished, files:
     assert {path: path.stat().st_mtime_ns for path in there} == there
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["replicates", "images", "results"])
 def test_a_full_disk_is_one_line(stage: str, first: Finished, files: Path):
     """A limit on the size of files stands for the disk: EFBIG where a full one says ENOSPC."""
@@ -665,6 +675,7 @@ def test_a_full_disk_is_one_line(stage: str, first: Finished, files: Path):
     assert not (folder / "results.json").exists()
 
 
+@pytest.mark.slow
 def test_settings_and_radii(compare: Callable[..., Finished], files: Path):
     """A changed scene is judged by itself and measured against the unchanged one; three radii and what they tend to."""
     (files / "settings.toml").write_text(

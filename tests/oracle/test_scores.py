@@ -8,6 +8,7 @@ integral and of wrong ones against their own limits; kernel estimates are biased
 """
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from termwise import reference
@@ -91,6 +92,7 @@ def p_value(z: np.ndarray, dof: np.ndarray) -> float:
     return float(stats.kstest(stats.t.cdf(z, dof), "uniform").pvalue)
 
 
+@pytest.mark.slow
 def test_scores_follow_student_s_t(record_property):
     """p > 1 % over the rows of each kind of reference and over all of them.
 

@@ -62,6 +62,7 @@ def agree(
     return float(np.mean(theirs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "change", "term", "variant", "least"),
     [
@@ -84,6 +85,7 @@ def test_both_sides_agree(name: str, change: dict[str, Any], term: str, variant:
     assert abs(with_setting / without - 1) > least
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("term", "variant"),
     [("ambient", "cosine"), ("ambient", "paper-loop"), ("direct", "path"), ("specular", "paper-code")],
@@ -209,6 +211,7 @@ def test_the_paper_s_intersection():
     assert (exact, by_angles) == (both_hits(closed, np.zeros(3), diagonal)[0], -1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadows", ["physical", "paper"])
 def test_a_chain_of_the_paper_s_terms_against_its_twin(shadows: str):
     """Ambient without 1/π and the k nearest photons at the vertices, by Mitsuba's photons and a k-d tree."""

@@ -77,6 +77,7 @@ def test_without_lights_nothing_is_dark():
     np.testing.assert_array_equal(paper.mean, plain.mean)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "term"), [("monkey", "ambient"), ("cornell_box", "direct"), ("cornell_box", "specular")]
 )

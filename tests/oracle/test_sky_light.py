@@ -34,6 +34,7 @@ def scene_of(sky: Sky, **changes: object) -> Scene:
     return attrs.evolve(scene, **changes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SKIES)
 @pytest.mark.parametrize("variant", ["cosine", "paper"])
 def test_ours_is_the_reference(name: str, variant: str):

@@ -135,6 +135,7 @@ def test_junit_and_markdown(judged: tuple[Path, list[suites.Outcome]], require: 
         gates.markdown(tmp_path, outcomes, require)
 
 
+@pytest.mark.slow
 def test_the_command_says_words_hints_and_status(
     judged: tuple[Path, list[suites.Outcome]], run: Run, capsys: pytest.CaptureFixture[str]
 ):

@@ -35,6 +35,7 @@ def _fast(compiled):
         pytest.skip("as plain Python a row takes minutes")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_fast")
 @pytest.mark.parametrize(("group", "row"), ROWS, ids=[f"{group}: {row.name}" for group, row in ROWS])
 def test_row(group, row):
