@@ -476,6 +476,7 @@ def landed_flux(scene: Scene, compiled: bool, **options) -> tuple[float, float]:
     return float(np.mean(flux)), float(np.std(flux, ddof=1) / np.sqrt(passes))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("albedo", [0.2, 0.5, 0.9])
 def test_flux_in_a_closed_box(albedo, compiled):
     """4 pi I / (1 - rho) lands in all, 4 pi I rho / (1 - rho) without first hits: roulette with 1/p keeps the mean."""
@@ -486,6 +487,7 @@ def test_flux_in_a_closed_box(albedo, compiled):
         assert error < (0.05 if compiled else 0.3) * expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("survival", [0.2, 0.5, 0.9, 1.0])
 def test_survival_leaves_the_mean_of_weighted_photons(survival, compiled):
     """Albedo .4: 4 pi I / (1 - .4) lands whatever P; 1 is cut to 0.99, so that photons end."""
@@ -495,6 +497,7 @@ def test_survival_leaves_the_mean_of_weighted_photons(survival, compiled):
     assert error < (0.05 if compiled else 0.3) * expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("survival", [0.2, 0.5, 0.9])
 def test_unweighted_photons_scatter_with_the_survival_probability(survival, compiled):
     """Colours (.4, .6, .1) of which none matters: each channel lands 4 pi I / (1 - P), its own albedo never."""
@@ -511,6 +514,7 @@ def test_unweighted_photons_scatter_with_the_survival_probability(survival, comp
     assert abs(mean - 4 * np.pi / 0.4) < 4.5 * error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("survival", [0.0, 0.8, 0.95])
 def test_flux_of_fully_scattered_photons(survival, compiled):
     """Walls of diffuse albedo rho (1 - g) and a lobe g F that is a mirror of F = 1: 4 pi I / (1 - rho (1 - g) - g).

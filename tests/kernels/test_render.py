@@ -169,6 +169,7 @@ def test_nearest_is_the_paper_s_estimate_times_k_minus_one_over_k(compiled):
     assert paper.any()
 
 
+@pytest.mark.slow
 def test_unweighted_photons_brighten_a_closed_sphere(compiled):
     """Albedo .5 and survival P = .8: rho / (1 - P) = 2.5 in place of rho / (1 - rho) = 1, both times k / (k - 1).
 

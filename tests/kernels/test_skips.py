@@ -146,6 +146,7 @@ def test_a_black_texture_is_no_texture(term, compiled):
     assert without.arrays.sky.texture.size == 96
 
 
+@pytest.mark.slow
 def test_skips_change_no_byte_of_the_library(compiled):
     """All skips against none of them, on every scene and term, default variants."""
     for name in library():
@@ -259,6 +260,7 @@ def test_only_the_cosine_is_exact_without_rays():
 # The plan says what the engine then does.
 
 
+@pytest.mark.slow
 def test_the_plan_counts_what_is_saved(compiled):
     """Work that the plan says is saved is what the counters show, or a bound of it."""
     variants: dict[Term, Variant] = {term: find(term) for term in TERMS}
