@@ -30,6 +30,7 @@ SOURCES = (
     "bsdf.py",
     "distant.py",
     "sky.py",
+    "share.py",
     "physical.py",
     "second.py",
     "terms",

@@ -27,7 +27,7 @@ from . import density
 from .density import Faces, Photons, Points
 from .rays import LIFT, lifted
 from .terms import direct, shadows, specular
-from .wavefront import camera_samples, pixel_means, rowwise, shape_pointer
+from .wavefront import camera_samples, idle, pixel_means, rowwise, shape_pointer
 
 MAX_SURVIVAL = 0.99
 PHOTONS = 100_000  # that are traced for a map whose mean does not depend on their count
@@ -73,9 +73,10 @@ class Surfaces(NamedTuple):
     scene : mi.Scene
     first : (O,) number of each shape's first face.
     faces : the triangles.
-    albedo : (F + 1, 3), `color (1 - g)` of each face; the last, black, is that of a miss.
+    albedo : (F + 1, 3), `color (1 - g)` of each face, of an image the largest; the last, black, is that of a miss.
     survival : (F + 1,), `P = min(MAX_SURVIVAL, largest channel of the albedo)`.
     emitters : all of them.
+    varies : whether any albedo is an image's.
     """
 
     scene: Any
@@ -84,6 +85,7 @@ class Surfaces(NamedTuple):
     albedo: np.ndarray
     survival: np.ndarray
     emitters: tuple[Emitter, ...]
+    varies: bool
 
 
 class Sights(NamedTuple):
@@ -110,7 +112,7 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
     width, height = description["camera"]["resolution"]
     image = np.zeros((height * width, 3))
     if description["has_lights"]:
-        surfaces = surfaces_of(loaded.scenes["direct"], loaded.description["parts"])
+        surfaces = surfaces_of(loaded.scenes["direct"], loaded.description["parts"], loaded.description["varying"])
         dark = shadows.rule(loaded, limit, "direct")
         sights = _sights(loaded, limit, spp, seed)
         count = kernel["photons"]
@@ -126,8 +128,8 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
                     surfaces, rng, count=count, first_hits=kernel["stored"] == "all", weighted=kernel["weighted"]
                 )
                 seen = sights(number)
-                points = _hits(surfaces, seen.origin, seen.direction, dark)
-                gathered.append(gatherer.submit(_gather, kernel, radius, surfaces, seen, points, photons))
+                points, albedo = _hits(surfaces, seen.origin, seen.direction, dark)
+                gathered.append(gatherer.submit(_gather, kernel, radius, surfaces, seen, points, albedo, photons))
                 if len(gathered) == 2:
                     _add(image, gathered.pop(0))
             for each in gathered:
@@ -189,7 +191,13 @@ def _sights(loaded: Any, limit: dict[str, Any], maps: int, seed: int) -> Callabl
 
 
 def _gather(
-    kernel: dict[str, Any], radius: float, surfaces: Surfaces, seen: Sights, points: Points, photons: Photons
+    kernel: dict[str, Any],
+    radius: float,
+    surfaces: Surfaces,
+    seen: Sights,
+    points: Points,
+    albedo: np.ndarray,
+    photons: Photons,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (N,) and radiances (N, 3) times pi of the points that are lit."""
     lit = np.flatnonzero(surfaces.survival[points.face])
@@ -198,7 +206,7 @@ def _gather(
         block = lit[start : start + POINTS]
         here = Points(*(column[block] for column in points))
         irradiance = _irradiance(kernel, radius, surfaces.faces, here, photons)
-        radiance[start : start + POINTS] = seen.weight[block] * surfaces.albedo[here.face] * irradiance
+        radiance[start : start + POINTS] = seen.weight[block] * albedo[block] * irradiance
     return seen.pixel[lit], radiance
 
 
@@ -218,8 +226,11 @@ def _irradiance(kernel: dict[str, Any], radius: float, faces: Faces, points: Poi
     return density.by_kernel(faces, points, photons, shape=kernel["shape"], radius=radius)
 
 
-def surfaces_of(scene: Any, parts: list[list[list[int]]]) -> Surfaces:
-    """Read the triangles and their albedos back from a scene of diffuse meshes, and whose they are from its parts."""
+def surfaces_of(scene: Any, parts: list[list[list[int]]], varying: Sequence[list[float] | None] = ()) -> Surfaces:
+    """Read the triangles and their albedos back from a scene of diffuse meshes, and whose they are from its parts.
+
+    `varying` : of each shape whose albedo is an image's the largest; None of others.
+    """
     frontal = dr.zeros(mi.SurfaceInteraction3f)
     frontal.wi = mi.Vector3f(0.0, 0.0, 1.0)
     corners, albedo = [], []
@@ -228,6 +239,9 @@ def surfaces_of(scene: Any, parts: list[list[list[int]]]) -> Surfaces:
         vertices = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
         corners.append(vertices[np.array(shape.faces_buffer(), np.int64).reshape(-1, 3)])
         albedo.append(np.array(shape.bsdf().eval_diffuse_reflectance(frontal), np.float64).reshape(3))
+    albedo = [
+        each if most is None else most for each, most in zip(albedo, varying or [None] * len(albedo), strict=True)
+    ]
     counts = [len(each) for each in corners]
     owner = np.repeat(np.arange(len(counts)), counts)
     smooth = np.array([shape.has_vertex_normals() for shape in meshes])[owner]
@@ -235,11 +249,12 @@ def surfaces_of(scene: Any, parts: list[list[list[int]]]) -> Surfaces:
     faces = density.faces(np.concatenate(corners), thing, smooth)
     of_faces = np.array([*albedo, np.zeros(3)])[[*owner, -1]]
     survival = np.minimum(of_faces.max(axis=1), MAX_SURVIVAL)
-    return Surfaces(scene, first, faces, of_faces, survival, emitters_of(scene, faces))
+    varies = any(most is not None for most in varying)
+    return Surfaces(scene, first, faces, of_faces, survival, emitters_of(scene, faces), varies)
 
 
 def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hits: bool, weighted: bool) -> Photons:
-    """Photons that land on what is not black, of `count` that the emitters send out; power is flux / count.
+    """Photons that land on an object that is not black, of `count` that the emitters send out; power is flux / count.
 
     Parameters
     ----------
@@ -251,10 +266,10 @@ def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hit
     landed = [Photons(*np.zeros((3, 0, 3)), np.zeros(0, np.int64))]
     kept = first_hits
     while len(origin):
-        hit = _hits(surfaces, origin, direction)
-        survival = surfaces.survival[hit.face]
+        hit, albedo = _hits(surfaces, origin, direction)
+        survival = np.minimum(albedo.max(axis=1), MAX_SURVIVAL)
         # Most photons of a point light meet nothing: what follows is of the others alone.
-        here = np.flatnonzero(survival)
+        here = np.flatnonzero(surfaces.survival[hit.face])
         if kept:
             landed.append(Photons(hit.position[here], -direction[here], power[here], hit.face[here]))
         kept = True
@@ -268,7 +283,7 @@ def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hit
         if surfaces.faces.smooth.any():
             power = power * _adjoint(surfaces.faces.smooth[face], came, direction, hit.normal[alive], normal)
         if weighted:
-            power = power * (surfaces.albedo[face] / survival[alive, None])
+            power = power * (albedo[alive] / survival[alive, None])
     return Photons(*(np.concatenate(column) for column in zip(*landed, strict=True)))
 
 
@@ -367,8 +382,11 @@ def _uniform_cone(axis: np.ndarray, edge: float, rng: np.random.Generator, count
     return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1) @ frame
 
 
-def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray, dark: Any = None) -> Points:
-    """Where rays (N, 3) meet a surface, seen from their origin; face -1 on a miss, a sphere, and where it is `dark`."""
+def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray, dark: Any = None) -> tuple[Points, np.ndarray]:
+    """Where rays (N, 3) meet a surface, seen from their origin, and its albedo (N, 3) there.
+
+    The face is -1 on a miss, a sphere, and where it is `dark`.
+    """
     meshes = [shape for shape in surfaces.scene.shapes() if shape.is_mesh()]
     shapes = [(shape_pointer(shape), int(first)) for shape, first in zip(meshes, surfaces.first, strict=True)]
 
@@ -379,11 +397,16 @@ def _hits(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray, dark: A
             face = dr.select(si.shape == shape, mi.Int32(si.prim_index) + first, face)
         if dark is not None:
             face = dr.select(dark(si, si.is_valid()), -1, face)
-        return si.p, face, si.sh_frame.n
+        if not surfaces.varies:
+            return si.p, face, si.sh_frame.n
+        if idle(si.is_valid()):
+            return si.p, face, si.sh_frame.n, mi.Color3f(0.0)
+        return si.p, face, si.sh_frame.n, si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
 
-    position, number, shading = rowwise(intersect, origin, direction)
+    position, number, shading, *varying = rowwise(intersect, origin, direction)
     face = number.astype(np.int64)
+    albedo = varying[0] if varying else surfaces.albedo[face]
     normal = np.where(surfaces.faces.smooth[face, None], shading, surfaces.faces.normals[face])
     normal = np.where(_dot(direction, normal)[:, None] <= 0.0, normal, -normal)
     side = np.where(_dot(direction, surfaces.faces.normals[face]) <= 0.0, 1.0, -1.0)
-    return Points(position, face, side, normal)
+    return Points(position, face, side, normal), albedo

@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from . import bsdf, distant, film, kernel_reference, physical, second, sky
+from . import bsdf, distant, film, kernel_reference, physical, second, share, sky
 from .wavefront import Estimator, pixel_means
 
 
@@ -32,6 +32,7 @@ class Loaded:
         """
         bsdf.register()
         sky.register()
+        share.register()
         distant.register()
         located = _with_paths(description, folder)
         shared: dict[str, Any] = {}
@@ -91,7 +92,7 @@ def _with_transformations(scene: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_shared(shared: dict[str, Any], scene: dict[str, Any]) -> dict[str, Any]:
-    """A scene's dictionary with materials and shapes loaded once for all roles that have the same.
+    """A scene's dictionary with materials, images and shapes loaded once for all roles that have the same.
 
     Every material and every shape that exists is traced into every kernel: tracing takes a third less with a few
     objects, and a quarter to a sixth with hundreds of them.
@@ -100,9 +101,17 @@ def _with_shared(shared: dict[str, Any], scene: dict[str, Any]) -> dict[str, Any
     def once(described: dict[str, Any]) -> Any:
         name = json.dumps(described)
         if name not in shared:
-            shared[name] = mi.load_dict(
-                {**described, "bsdf": once(described["bsdf"])} if "bsdf" in described else described
-            )
+            parts = {key: once(item) if key == "bsdf" or _has_image(item) else item for key, item in described.items()}
+            if described["type"] == "bitmap":
+                parts["bitmap"] = mi.Bitmap(np.load(parts.pop("texture")))
+            shared[name] = mi.load_dict(parts)
         return shared[name]
 
     return {key: once(item) if isinstance(item, dict) and "bsdf" in item else item for key, item in scene.items()}
+
+
+def _has_image(described: Any) -> bool:
+    """Whether a dictionary is one of an image, or holds one."""
+    if not isinstance(described, dict):
+        return False
+    return described.get("type") == "bitmap" or any(map(_has_image, described.values()))

@@ -18,6 +18,7 @@ import numpy as np
 
 from termwise.scenes.meshes import ply
 from termwise.scenes.model import (
+    Color,
     DirectionalLight,
     Light,
     Material,
@@ -29,6 +30,7 @@ from termwise.scenes.model import (
     SpotLight,
     SunLight,
 )
+from termwise.scenes.textures import Texture, downwards, of_two_at_least
 
 Role = Literal["color", "diffuse", "ambient", "direct", "specular", "physical-lights", "physical-sky", "physical"]
 
@@ -37,6 +39,7 @@ SIZE = 100.0  # the largest side of the canonical bounding box is in (SIZE / 2, 
 SMALLEST = 1e-3  # size of an object in a scene of extent 1
 BRIGHTEST = 1e15  # radiance or intensity
 NARROWEST = 1.0  # degrees of a spot light's cutoff
+LONGEST = 2**22  # texels along a face: where two corners lie so far apart, float32 knows a place between to half of one
 UNBOUNDED = 1e30  # stands for an infinite range, which JSON does not have
 BLACK_BSDF = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}}
 
@@ -66,7 +69,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
     Parameters
     ----------
     scene : the scene.
-    folder : existing folder that receives the meshes (PLY) and the sky's texture (NPY).
+    folder : existing folder that receives the meshes (PLY), and the sky's and the surfaces' images (NPY).
 
     Returns
     -------
@@ -77,10 +80,13 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
     _check_sizes(scene)
     _check_radiances(scene)
     _check_angles(scene)
+    _check_images(scene)
     shapes, parts = gathered(scene)
     for number, thing in enumerate(shapes):
         points = canonical.points(thing.mesh.vertices)
-        ply.write(folder / _mesh_file(number), points, thing.mesh.normals, thing.mesh.faces)
+        ply.write(folder / _mesh_file(number), points, thing.mesh.normals, thing.mesh.faces, uv=_uv(thing))
+        for image in thing.surface.textures.values():
+            np.save(folder / _image_file(image), of_two_at_least(image.texels))
     if scene.sky.texture is not None:
         np.save(folder / "sky.npy", scene.sky.texture)
     return {
@@ -97,6 +103,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "normals": scene.normals,
         "max_bounces": scene.max_bounces if scene.toggles.reflections else 0,
         "has_lights": scene.has_lights,
+        "varying": [list(scene.diffuse_weight(thing.surface)) if thing.surface.textures else None for thing in shapes],
         "reflected": {role: _reflected(scene, role) for role in get_args(Role)},
         "light_centres": [
             [canonical.points(centre).tolist(), *_place(parts, thing, len(scene.objects))]
@@ -142,7 +149,8 @@ def _as_one(things: list[Object]) -> Object:
     faces = np.concatenate([thing.mesh.faces + start for thing, start in zip(things, first, strict=True)])
     normals = [thing.mesh.normals for thing in things if thing.mesh.normals is not None]
     smooth = len(normals) == len(things)
-    return attrs.evolve(things[0], mesh=Mesh(vertices, faces, np.concatenate(normals) if smooth else None))
+    uv = np.concatenate([thing.mesh.uv for thing in things]) if things[0].surface.textures else None  # type: ignore[misc]
+    return attrs.evolve(things[0], mesh=Mesh(vertices, faces, np.concatenate(normals) if smooth else None, uv))
 
 
 def _place(parts: list[list[list[int]]], thing: int, objects: int) -> tuple[int, int, int]:
@@ -221,6 +229,31 @@ def _check_angles(scene: Scene) -> None:
             )
 
 
+def _check_images(scene: Scene) -> None:
+    """Refuse an image of so many texels along a face that single precision cannot tell them apart."""
+    for thing in scene.objects:
+        for name, image in thing.surface.textures.items():
+            along = np.ptp(_uv(thing), axis=1).max(axis=0) * image.texels.shape[1::-1]
+            if along.max() > LONGEST:
+                raise ValueError(
+                    f"{scene.name}: objects: {thing.name!r}: {name}: {along.max():.3g} texels lie along one face: "
+                    f"allowed are at most {LONGEST}, for Mitsuba computes in single precision; ours alone renders it"
+                )
+
+
+def _uv(thing: Object) -> np.ndarray | None:
+    """Where in an image the faces' corners lie (F, 3, 2), v downwards; None without an image.
+
+    Of an image that repeats, the next to the origin, for what Mitsuba reads is float32.
+    """
+    images = thing.surface.textures.values()
+    if not images or thing.mesh.uv is None:
+        return None
+    places = downwards(thing.mesh.uv)
+    repeats = all(image.wrap == "repeat" for image in images)
+    return places - np.floor(places.min(axis=1, keepdims=True)) if repeats else places
+
+
 def _scene(scene: Scene, shapes: tuple[Object, ...], role: Role, canonical: Canonical) -> dict[str, Any]:
     """The same shapes in every role; lights only where the role has them."""
     lit = role in ("direct", "physical-lights", "physical") and scene.has_lights
@@ -257,15 +290,36 @@ def _object(scene: Scene, thing: Object, number: int, role: Role, lit: bool) -> 
 def _bsdf(scene: Scene, material: Material, role: Role) -> dict[str, Any]:
     """The lobe or lobes of a role, their weights inside; black where the weight is 0."""
     if role == "color":
-        return {"type": "diffuse", "reflectance": _rgb(material.color)}
+        return {"type": "diffuse", "reflectance": _color(material.color)}
     gloss = scene.specular_weight(material)
     lobe = {"type": "cook_torrance", "alpha": material.roughness, "f0": list(material.f0), "factor": gloss}
     if role == "specular":
         return lobe if gloss > 0 else BLACK_BSDF
     if role in ("diffuse", "ambient", "direct") or gloss == 0:
-        return {"type": "diffuse", "reflectance": _rgb(scene.diffuse_weight(material))}
-    diffuse = {"type": "diffuse", "reflectance": _rgb(material.color)}
+        return {"type": "diffuse", "reflectance": _diffuse_part(scene, material)}
+    diffuse = {"type": "diffuse", "reflectance": _color(material.color)}
     return {"type": "blendbsdf", "weight": gloss, "first": diffuse, "second": lobe | {"factor": 1.0}}
+
+
+def _color(color: Color | Texture) -> dict[str, Any]:
+    """A colour, or Mitsuba's own lookup of its image; see `prepare` for its file."""
+    if not isinstance(color, Texture):
+        return _rgb(color)
+    return {
+        "type": "bitmap",
+        "texture": _image_file(color),
+        "raw": True,
+        "filter_type": "bilinear",
+        "wrap_mode": color.wrap,
+        "accel": False,  # a GPU would interpolate with 8-bit weights
+    }
+
+
+def _diffuse_part(scene: Scene, material: Material) -> dict[str, Any]:
+    """`color (1 - gloss)`."""
+    if not material.textures:
+        return _rgb(scene.diffuse_weight(material))
+    return {"type": "share", "of": _color(material.color), "less": scene.specular_weight(material)}
 
 
 def _face(thing: Object) -> dict[str, Any]:
@@ -413,6 +467,10 @@ def _ball(scene: Scene, canonical: Canonical) -> float:
 
 def _rgb(color: Any) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(component) for component in color]}
+
+
+def _image_file(image: Texture) -> str:
+    return f"image-{image.content[:16]}.npy"
 
 
 def _mesh_file(number: int) -> str:

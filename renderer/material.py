@@ -1,7 +1,8 @@
 """What a surface does to light, the weights of `color (1 - gloss) / pi + gloss f`, where a ray has met it.
 
 The only reader of `SceneArrays.materials`. A reader is given the place, face and barycentrics, and not the object: what
-varies over a surface is a matter of this file alone. Each reads no more than its caller asks for.
+varies over a surface is a matter of this file alone, and of `renderer.textures`, which looks images up. Each reads no
+more than its caller asks for.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer import textures
 from termwise.renderer.jit import device
+from termwise.renderer.textures import Textures, color_at
 from termwise.renderer.unoccluded import open_sides
-from termwise.renderer.vector import Vec3, vec3
-from termwise.scenes.model import Scene
+from termwise.renderer.vector import Vec3, is_black, scale, vec3
+from termwise.scenes.model import Scene, largest
 
 if TYPE_CHECKING:  # they hold what is defined here
     from termwise.renderer.arrays import SceneArrays
@@ -23,6 +26,8 @@ if TYPE_CHECKING:  # they hold what is defined here
 
 class Materials(NamedTuple):
     """What surfaces of each object do to light, the spheres' behind the others; emitters are black.
+
+    Where an image stands in the place of a colour it is the largest of its texels.
 
     Attributes
     ----------
@@ -33,6 +38,7 @@ class Materials(NamedTuple):
     f0 : (O, 3), Schlick's reflectance at normal incidence.
     emission : (O, 3), radiance of the front side.
     open : (O, 2) bool, whether nothing can lie within the ambient range of the object's front, and of its back.
+    textures : the images, or None of a scene that has none: its kernels are compiled without.
     """
 
     color: np.ndarray
@@ -42,6 +48,7 @@ class Materials(NamedTuple):
     f0: np.ndarray
     emission: np.ndarray
     open: np.ndarray
+    textures: Textures | None
 
 
 def from_scene(scene: Scene, without: Collection[str]) -> Materials:
@@ -50,13 +57,14 @@ def from_scene(scene: Scene, without: Collection[str]) -> Materials:
     emission = [*(thing.emission for thing in scene.objects), *(sphere.radiance for sphere in scene.spheres)]
     lit = scene.toggles.lighting
     return Materials(
-        np.array([surface.color for surface in surfaces]).reshape(-1, 3),
+        np.array([largest(surface.color) for surface in surfaces]).reshape(-1, 3),
         np.array([scene.diffuse_weight(surface) for surface in surfaces]).reshape(-1, 3),
         np.array([scene.specular_weight(surface) for surface in surfaces]).reshape(-1),
         np.array([surface.roughness for surface in surfaces]).reshape(-1),
         np.array([surface.f0 for surface in surfaces]).reshape(-1, 3),
         np.array([each if lit else (0.0, 0.0, 0.0) for each in emission]).reshape(-1, 3),
         _open(scene, without),
+        textures.from_scene(scene),
     )
 
 
@@ -71,13 +79,36 @@ def _open(scene: Scene, without: Collection[str]) -> np.ndarray:
 @device
 def whole_color(scene: SceneArrays, surface: Surface) -> Vec3:
     """Color, whatever the gloss: the weight of the ambient light in the paper's shadow."""
-    return vec3(scene.materials.color, surface.object)
+    return _color(scene.materials, scene.materials.textures, surface)
+
+
+@device
+def _color(materials: Materials, images: Textures | None, surface: Surface) -> Vec3:
+    if images is not None and images.color[surface.object] >= 0:
+        return color_at(images, images.color[surface.object], surface.face, surface.b1, surface.b2)
+    return vec3(materials.color, surface.object)
 
 
 @device
 def diffuse_weight(scene: SceneArrays, surface: Surface) -> Vec3:
     """Weight of the diffuse lobe, its albedo."""
-    return vec3(scene.materials.diffuse, surface.object)
+    return _diffuse(scene.materials, scene.materials.textures, surface)
+
+
+@device
+def _diffuse(materials: Materials, images: Textures | None, surface: Surface) -> Vec3:
+    if images is not None and images.color[surface.object] >= 0:
+        return scale(_color(materials, images, surface), 1.0 - materials.specular[surface.object])
+    return vec3(materials.diffuse, surface.object)
+
+
+@device
+def holds_photons(scene: SceneArrays, surface: Surface) -> bool:
+    """Whether photons are kept that land there: anywhere on an object that is not black in the diffuse part.
+
+    Not where the image is, for a density at one point counts what has landed around it.
+    """
+    return not is_black(vec3(scene.materials.diffuse, surface.object))
 
 
 @device

@@ -22,7 +22,7 @@ from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights import emit_photon
-from termwise.renderer.material import diffuse_weight, lobe_alpha, lobe_f0, specular_weight
+from termwise.renderer.material import diffuse_weight, holds_photons, lobe_alpha, lobe_f0, specular_weight
 from termwise.renderer.microfacet import sample_lobe
 from termwise.renderer.photon_map import PhotonMap, build, empty
 from termwise.renderer.rng import fold, stream
@@ -131,7 +131,7 @@ def _trace_photons(
 ) -> int:
     """Trace photons [first, last); returns how many land, also where the arrays are too short to hold all.
 
-    A photon is deposited wherever the surface has a diffuse weight, however it came there.
+    A photon is deposited wherever the object has a diffuse weight, however it came there.
     """
     landed = 0
     scratch.counts[PHOTONS] += last - first
@@ -144,7 +144,7 @@ def _trace_photons(
             surface = trace(scene, make_ray(origin, heading), origin_face, scratch)
             if surface.face < 0:
                 break
-            if (depth > 0 or first_hits) and not is_black(diffuse_weight(scene, surface)):
+            if (depth > 0 or first_hits) and holds_photons(scene, surface):
                 if landed < len(face):
                     position[landed, 0] = surface.point.x
                     position[landed, 1] = surface.point.y

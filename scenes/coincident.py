@@ -120,13 +120,17 @@ def counted_once(objects: tuple[Any, ...], position: tuple[float, ...]) -> tuple
     number = np.array([looks.index(look) for look in looks])
     emits = np.array([thing.emits for thing in objects], np.bool_)
     unlike = number[of_first] != number[of_second]
-    bad = np.flatnonzero(unlike | emits[of_first] | emits[of_second] | ~_shaded_alike(meshes, faces, first, second))
+    turned = ~_shaded_alike(meshes, faces, first, second)
+    bad = np.flatnonzero(
+        unlike | emits[of_first] | emits[of_second] | turned | ~_mapped_alike(objects, faces, first, second)
+    )
     if len(bad):
         one, other = objects[of_first[bad[0]]], objects[of_second[bad[0]]]
         names = f"{one.name!r} and {other.name!r} lie" if one is not other else f"two faces of {one.name!r} lie"
         small = second if faces.height[second[bad[0]]] <= faces.height[first[bad[0]]] else first
         place = ", ".join(f"{x:.4g}" for x in faces.corners[small[bad[0]]].mean(axis=0))
-        why = "differ in material" if unlike[bad[0]] else "differ in their shading normals"
+        why = "differ in their shading normals" if turned[bad[0]] else "differ in where their image lies"
+        why = "differ in material" if unlike[bad[0]] else why
         why = "give light" if one.emits or other.emits else why
         raise ValueError(
             f"objects: {names} in one plane, one over the other, near ({place}), and {why}, so that there is no answer "
@@ -184,12 +188,30 @@ def _shaded_alike(meshes: Sequence[Any], faces: Faces, first: np.ndarray, second
         return alike
     shading = np.repeat(faces.normals[:, None], 3, axis=1)
     shading[smooth] = np.concatenate([mesh.normals[mesh.faces] for mesh in meshes if mesh.normals is not None])
-    one, other = first[rest], second[rest]
-    same = (faces.corners[one][:, :, None] == faces.corners[other][:, None]).all(axis=-1)
-    turned = np.take_along_axis(shading[other], same.argmax(axis=2)[..., None], axis=1)
-    cosine = np.einsum("nkx,nkx->nk", shading[one], turned)
+    same, turned = _of_corners(shading, faces, first[rest], second[rest])
+    cosine = np.einsum("nkx,nkx->nk", shading[first[rest]], turned)
     equal = (cosine > 1.0 - 1e-6).all(axis=1) | (cosine < 1e-6 - 1.0).all(axis=1)
-    alike[rest] = same.any(axis=2).all(axis=1) & equal
+    alike[rest] = same & equal
+    return alike
+
+
+def _of_corners(values: np.ndarray, faces: Faces, one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether pairs of faces have the same corners; values (N, 3, C) of the second in the order of the first."""
+    same = (faces.corners[one][:, :, None] == faces.corners[other][:, None]).all(axis=-1)
+    return same.any(axis=2).all(axis=1), np.take_along_axis(values[other], same.argmax(axis=2)[..., None], axis=1)
+
+
+def _mapped_alike(objects: Sequence[Any], faces: Faces, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Whether pairs of faces show their image alike: those without one do, others corner by corner."""
+    textured = np.array([bool(thing.surface.textures) for thing in objects], np.bool_)[faces.owner]
+    alike = ~(textured[first] | textured[second])
+    rest = np.flatnonzero(~alike)
+    if len(rest) == 0:
+        return alike
+    uv = np.zeros((len(faces.owner), 3, 2))
+    uv[textured] = np.concatenate([thing.mesh.uv for thing in objects if thing.surface.textures])
+    same, turned = _of_corners(uv, faces, first[rest], second[rest])
+    alike[rest] = same & (uv[first[rest]] == turned).all(axis=(1, 2))
     return alike
 
 
@@ -217,10 +239,13 @@ def _without(objects: Sequence[Any], faces: Faces, first: np.ndarray, second: np
         if mine.all():
             found.append(thing)
         elif mine.any() or len(added):
+            # What has an image is left out whole, or not at all.
+            uv = None if thing.mesh.uv is None or len(added) else thing.mesh.uv[mine]
             mesh = attrs.evolve(
                 thing.mesh,
                 vertices=np.concatenate([thing.mesh.vertices, corners]),
                 faces=np.concatenate([thing.mesh.faces[mine], added]),
+                uv=uv,
             )
             found.append(attrs.evolve(thing, mesh=mesh))
     return tuple(found)

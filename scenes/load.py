@@ -10,14 +10,17 @@ Errors are one line: file, field, value, and what is allowed.
 import importlib
 import math
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import attrs
 import numpy as np
 
-from termwise.scenes import images, meshes, model, strict
+from termwise.scenes import images, meshes, model, strict, textures
 from termwise.scenes.strict import FileError
+from termwise.scenes.textures import Texture
 
+UNIT_SQUARE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+"""Where in an image the corners of a rectangle lie."""
 LIBRARY = Path(__file__).parent / "library"
 READERS = {
     ".glb": "termwise.scenes.exchange.from_gltf",
@@ -82,6 +85,32 @@ def _foreign(path: Path, approximate: bool) -> model.Scene:
 
 
 @attrs.frozen(kw_only=True)
+class _Image:
+    """An image in the place of a colour."""
+
+    file: str
+    wrap: textures.Wrap = "repeat"
+    encoding: textures.Encoding | None = None
+
+    def read(self, folder: Path, name: str) -> Texture:
+        """The image as the field `name`.
+
+        Raises
+        ------
+        ValueError : which field, which file, and why it cannot be read.
+        """
+        path = folder / self.file
+        try:
+            if not path.is_file():
+                raise ValueError(f"no such file in {folder}")
+            texture = Texture(textures.read_color(path, self.encoding), self.wrap)
+            model.Material(**{name: texture})  # where its texels are refused, the file is named
+            return texture
+        except ValueError as error:
+            raise ValueError(f"{name} = {self.file!r}: {str(error).removeprefix(f'{name}: ')}") from None
+
+
+@attrs.frozen(kw_only=True)
 class _Placed:
     """What all shapes have in common."""
 
@@ -91,7 +120,7 @@ class _Placed:
     rotation: model.Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=model.finite)
     translation: model.Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=model.finite)
     normals: Literal["flat", "smooth"] = "flat"
-    color: model.Color = model.Material().color
+    color: model.Color | _Image = cast(model.Color, model.Material().color)
     gloss: float = model.Material().gloss
     roughness: float = model.Material().roughness
     f0: model.Color = model.Material().f0
@@ -99,13 +128,28 @@ class _Placed:
 
     def __attrs_post_init__(self) -> None:
         """Check the material where its fields stand in the file."""
-        self.material()
+        model.Material(**{name: value for name, value in self.looks().items() if not isinstance(value, _Image)})
 
-    def material(self) -> model.Material:
-        return model.Material(self.color, self.gloss, self.roughness, self.f0)
+    def looks(self) -> dict[str, Any]:
+        """Fields of the material."""
+        return {field.name: getattr(self, field.name) for field in attrs.fields(model.Material)}
 
-    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (V, 3) and faces (F, 3) before placement."""
+    def material(self, folder: Path) -> model.Material:
+        """The material with its images."""
+        read = (
+            (name, value.read(folder, name) if isinstance(value, _Image) else value)
+            for name, value in self.looks().items()
+        )
+        try:
+            return model.Material(**dict(read))
+        except ValueError as error:
+            raise ValueError(f"objects: {self.name!r}: {error}") from None
+
+    def geometry(self, folder: Path, *, mapped: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Vertices (V, 3) and faces (F, 3) before placement, and where in an image the faces' corners lie, (F, 3, 2).
+
+        None where nothing says that, or it is not to be `mapped`.
+        """
         raise NotImplementedError
 
     def where(self) -> str:
@@ -113,14 +157,18 @@ class _Placed:
         return f"objects: {self.name!r}"
 
     def build(self, folder: Path) -> model.Object:
-        vertices, faces = self.geometry(folder)
+        material = self.material(folder)
+        vertices, faces, uv = self.geometry(folder, mapped=bool(material.textures) and not any(self.emission))
         with np.errstate(over="ignore", invalid="ignore"):  # the mesh refuses what is not finite
             placed = self.scale * np.asarray(vertices, np.float64) @ self._rotation().T + self.translation
         try:
-            mesh = model.Mesh.from_arrays(placed, faces, smooth=self.normals == "smooth")
+            mesh = model.Mesh.from_arrays(placed, faces, smooth=self.normals == "smooth", uv=uv)
         except ValueError as error:
             raise ValueError(f"{self.where()}: {error}") from None
-        return model.Object(self.name, mesh, self.material(), self.emission)
+        try:
+            return model.Object(self.name, mesh, material, self.emission)
+        except ValueError as error:
+            raise ValueError(f"objects: {error}") from None
 
     def _rotation(self) -> np.ndarray:
         from trimesh import transformations  # here, as below: it takes seconds to load, and `judge` reads no shapes
@@ -131,20 +179,20 @@ class _Placed:
 
 @attrs.frozen(kw_only=True)
 class _Rectangle(_Placed):
-    """A parallelogram; its normal is edges[0] x edges[1]."""
+    """A parallelogram; its normal is edges[0] x edges[1]. An image has its u along the one, its v along the other."""
 
     shape: ClassVar[str] = "rectangle"
     origin: model.Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=model.finite)
     edges: tuple[model.Vector, model.Vector]
 
-    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    def geometry(self, folder: Path, *, mapped: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         corner = np.asarray(self.origin)
         first, second = np.asarray(self.edges)
         if not np.linalg.norm(np.cross(first, second)) > 0:
             raise ValueError(f"{self.where()}: edges = {self.edges!r}: allowed are two that span an area")
-        return np.array([corner, corner + first, corner + first + second, corner + second]), np.array(
-            [[0, 1, 2], [0, 2, 3]]
-        )
+        vertices = np.array([corner, corner + first, corner + first + second, corner + second])
+        faces = np.array([[0, 1, 2], [0, 2, 3]])
+        return vertices, faces, UNIT_SQUARE[faces] if mapped else None
 
 
 @attrs.frozen(kw_only=True)
@@ -154,11 +202,11 @@ class _Box(_Placed):
     shape: ClassVar[str] = "box"
     size: model.Vector = attrs.field(validator=model.positive)
 
-    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    def geometry(self, folder: Path, *, mapped: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         from trimesh import creation
 
         box = creation.box(extents=self.size)
-        return box.vertices, box.faces
+        return box.vertices, box.faces, None
 
 
 @attrs.frozen(kw_only=True)
@@ -169,11 +217,11 @@ class _Sphere(_Placed):
     radius: float = attrs.field(default=1.0, validator=model.positive)
     subdivisions: int = attrs.field(default=3, validator=model.in_range(0, 8))
 
-    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    def geometry(self, folder: Path, *, mapped: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         from trimesh import creation
 
         sphere = creation.icosphere(subdivisions=self.subdivisions, radius=self.radius)
-        return sphere.vertices, sphere.faces
+        return sphere.vertices, sphere.faces, None
 
 
 @attrs.frozen(kw_only=True)
@@ -186,7 +234,7 @@ class _MeshFile(_Placed):
     def where(self) -> str:
         return f"objects: {self.name!r}: file = {self.file!r}"
 
-    def geometry(self, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    def geometry(self, folder: Path, *, mapped: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         path = folder / self.file
         where = self.where()
         if path.suffix.lower() not in meshes.READERS:
@@ -195,7 +243,7 @@ class _MeshFile(_Placed):
         if not path.is_file():
             raise ValueError(f"{where}: no such file in {folder}")
         try:
-            return meshes.read(path)
+            return meshes.read_mapped(path) if mapped else (*meshes.read(path), None)
         except meshes.MeshError as error:
             raise ValueError(f"{where}: {error}") from None
         except OSError as error:
@@ -293,6 +341,16 @@ def _shape(value: Any, _kind: type) -> _Placed:
     return _converter.structure({key: item for key, item in value.items() if key != "shape"}, kind)
 
 
+def _color(value: Any, _kind: Any) -> Any:
+    if isinstance(value, dict):
+        return _converter.structure(value, _Image)
+    try:
+        return _converter.structure(value, model.Color)
+    except TypeError as error:
+        raise TypeError(f"{error}, or a table with the file of an image") from None
+
+
 _converter = strict.converter()
+_converter.register_structure_hook_func(lambda kind: kind == model.Color | _Image, _color)
 _converter.register_structure_hook_func(lambda kind: kind is _Placed, _shape)
 _converter.register_structure_hook_func(lambda kind: kind == model.Light, _light)

@@ -17,6 +17,7 @@ import attrs
 import numpy as np
 
 from termwise.scenes import coincident
+from termwise.scenes.textures import Texture
 
 Vector = tuple[float, float, float]
 Color = tuple[float, float, float]
@@ -34,11 +35,19 @@ def in_range(low: float, high: float = math.inf, *, open_low: bool = False, open
     left, right = "(["[not open_low], ")]"[not open_high]
     allowed = f"a number in {left}{low:g}, {high:g}{right}"
 
+    def within(x: Any) -> Any:  # NaN is not
+        above = x > low if open_low else x >= low
+        below = x < high if open_high else x <= high
+        return above & below
+
     def validate(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+        if isinstance(value, Texture):
+            # Its extremes first: they are known.
+            if not all(map(within, (*value.low, *value.high))):
+                raise ValueError(f"{attribute.name}: {value.beyond(within)}: allowed is {allowed}")
+            return
         for x in value if isinstance(value, tuple) else (value,):
-            above = x > low if open_low else x >= low
-            below = x < high if open_high else x <= high
-            if not (above and below):  # also catches NaN
+            if not within(x):
                 _refuse(attribute, value, allowed)
 
     return validate
@@ -103,22 +112,50 @@ _integer = _converter(lambda value, field: _plain(int, value, field))
 _triple = _several(float, 3)
 
 
+def _or_texture(plain: Any, channels: int) -> Callable[[Any], Any]:
+    """A converter that leaves an image of so many channels as it is."""
+
+    def convert(value: Any, field: Any) -> Any:
+        if not isinstance(value, Texture):
+            return plain.converter(value, field)
+        if value.channels != channels:
+            _refuse(field, value, f"a texture of {channels} channel{'s' if channels > 1 else ''}")
+        return value
+
+    return _converter(convert)
+
+
+def largest(value: Any) -> Any:
+    """Of a number or a colour, which it is itself, or of an image channel by channel."""
+    if not isinstance(value, Texture):
+        return value
+    return value.high if value.channels > 1 else value.high[0]
+
+
 @attrs.frozen
 class Material:
     """Diffuse `color * (1 - gloss)` under a Cook-Torrance lobe weighted by `gloss`.
 
     Attributes
     ----------
-    color : reflectance in [0, 1] per channel.
+    color : reflectance in [0, 1] per channel; a number for each, or a `Texture` of 3 channels.
     gloss : the paper's share g of reflected light, in [0, 1].
     roughness : Beckmann alpha, in [1e-4, 1.5].
     f0 : Schlick's reflectance at normal incidence, in [0, 1] per channel.
     """
 
-    color: Color = attrs.field(converter=_triple, default=(0.8, 0.8, 0.8), validator=unit_interval)
+    color: Color | Texture = attrs.field(
+        converter=_or_texture(_triple, 3), default=(0.8, 0.8, 0.8), validator=unit_interval
+    )
     gloss: float = attrs.field(converter=_number, default=0.0, validator=unit_interval)
     roughness: float = attrs.field(converter=_number, default=0.5, validator=in_range(1e-4, 1.5))
     f0: Color = attrs.field(converter=_triple, default=(0.04, 0.04, 0.04), validator=unit_interval)
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """The fields that are images, by name."""
+        values = ((field.name, getattr(self, field.name)) for field in attrs.fields(type(self)))
+        return {name: value for name, value in values if isinstance(value, Texture)}
 
 
 BLACK_SURFACE = Material(color=BLACK, gloss=0.0)
@@ -133,15 +170,21 @@ class Mesh:
     vertices : (V, 3) float64 array, each value representable in float32.
     faces : (F, 3) int64 array of vertex indices; the normal is (v1 - v0) x (v2 - v0).
     normals : (V, 3) float64 array of unit shading normals, or None for flat shading.
+    uv : (F, 3, 2) float64 array, each value representable in float32: where in an image the corners of the faces lie,
+        see `scenes.textures`; or None. Faces that share a vertex may have it in two places.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None = None
+    uv: np.ndarray | None = None
 
     @classmethod
-    def from_arrays(cls, vertices: Any, faces: Any, *, smooth: bool = False) -> "Mesh":
-        """Check shapes, indices and finiteness; area-weighted normals where faces meet in a place if `smooth`."""
+    def from_arrays(cls, vertices: Any, faces: Any, *, smooth: bool = False, uv: Any = None) -> "Mesh":
+        """Check shapes, indices and finiteness; area-weighted normals where faces meet in a place if `smooth`.
+
+        `uv` is (F, 3, 2), or (V, 2) of the vertices.
+        """
         with np.errstate(over="ignore"):  # refused below
             vertices = np.ascontiguousarray(np.asarray(vertices, np.float32), np.float64)
         faces = np.ascontiguousarray(faces, np.int64)
@@ -164,7 +207,7 @@ class Mesh:
         if not np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():
             raise ValueError("mesh has no area: allowed is at least one triangle that has")
         normals = _vertex_normals(vertices, faces) if smooth else None
-        return cls(vertices, faces, normals)
+        return cls(vertices, faces, normals, None if uv is None else _of_corners(uv, len(vertices), faces))
 
     def __repr__(self) -> str:
         """Its size, in one line."""
@@ -179,6 +222,19 @@ class Mesh:
         )
         x, y, z = (np.sum(area * corners.mean(axis=1), axis=0) / area.sum()).tolist()
         return x, y, z
+
+
+def _of_corners(uv: Any, vertices: int, faces: np.ndarray) -> np.ndarray:
+    """Places in an image as `Mesh.uv` has them."""
+    with np.errstate(over="ignore"):  # refused below
+        places = np.ascontiguousarray(np.asarray(uv, np.float32), np.float64)
+    if places.shape not in ((vertices, 2), (*faces.shape, 2)):
+        raise ValueError(f"uv {places.shape}: allowed is {(*faces.shape, 2)} of corners or {(vertices, 2)} of vertices")
+    places = places[faces] if places.ndim == 2 else places
+    if not np.isfinite(places).all():
+        face, corner, _ = np.argwhere(~np.isfinite(places))[0]
+        raise ValueError(f"uv of corner {corner} of face {face}: {places[face, corner].tolist()}: allowed are finite")
+    return places
 
 
 def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -200,13 +256,24 @@ class Object:
     """A named mesh with a material; an object that emits is an area light and its surface is black.
 
     `emission` is the radiance leaving the side that the face normals point to; the surface of an
-    emitter neither reflects nor transmits, on both sides, for every term.
+    emitter neither reflects nor transmits, on both sides, for every term. A material of images needs a mesh with uv.
     """
 
     name: str
     mesh: Mesh
     material: Material = Material()
     emission: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse an image that nothing says how to lay on the surface."""
+        for name in self.surface.textures:
+            if self.mesh.uv is None:
+                raise ValueError(
+                    f"{self.name!r}: {name}: is an image, and nothing says how it lies on the mesh: allowed are a "
+                    "rectangle, and meshes with uv (OBJ: vt; GLB: TEXCOORD_0; PLY: u, v or s, t or texcoord)"
+                )
+            if self.mesh.uv.shape != (*self.mesh.faces.shape, 2):
+                raise ValueError(f"{self.name!r}: uv {self.mesh.uv.shape}: allowed is {(*self.mesh.faces.shape, 2)}")
 
     @property
     def emits(self) -> bool:
@@ -622,9 +689,12 @@ class Scene:
         return self.resolution[0] / self.resolution[1]
 
     def diffuse_weight(self, material: Material) -> Color:
-        """`color * (1 - gloss)`; `color` alone where reflections are off (paper's code)."""
+        """`color * (1 - gloss)`; `color` alone where reflections are off (paper's code).
+
+        Of an image the largest that any texel has: `renderer.material` and `reference.translate` look it up.
+        """
         share = 1.0 - material.gloss if self.toggles.reflections else 1.0
-        red, green, blue = material.color
+        red, green, blue = largest(material.color)
         return red * share, green * share, blue * share
 
     def specular_weight(self, material: Material) -> float:
@@ -722,7 +792,8 @@ def absorb(state: Any, value: Any) -> None:
     if attrs.has(type(value)):
         state.update(type(value).__name__.encode())
         for field in attrs.fields(type(value)):
-            absorb(state, getattr(value, field.name))
+            if field.eq:  # what others say already is left out
+                absorb(state, getattr(value, field.name))
     elif isinstance(value, np.ndarray):
         state.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif isinstance(value, tuple):

@@ -13,6 +13,7 @@ from typing import Any
 import attrs
 
 from termwise.scenes.model import Scene, absorb
+from termwise.scenes.textures import Texture
 
 UNREAD = ("name", "exposure", "objects.name", "substitutions")
 """Fields that no image depends on."""
@@ -45,7 +46,7 @@ def fields_of(thing: Any, path: str = "") -> Iterator[tuple[str, str, Any]]:
         here, value = f"{path}{field.name}", getattr(thing, field.name)
         several = isinstance(value, tuple) and (not value or attrs.has(type(value[0])))
         for item in value if several else (value,):
-            if attrs.has(type(item)):
+            if attrs.has(type(item)) and not isinstance(item, Texture):
                 yield from fields_of(item, f"{here}.")
             else:
                 yield here, type(thing).__name__, item

@@ -1,7 +1,8 @@
 """`save(scene, path)`: a scene as a file that `load` reads back with the same digest.
 
 Only fields that differ from their default are written. A parallelogram stays a `rectangle` where its corners come out
-the same to the bit; other meshes go as binary PLY, a sky's texture as OpenEXR, into the folder `NAME.files` beside it.
+the same to the bit; other meshes go as binary PLY, images as OpenEXR, into the folder `NAME.files` beside it. A uv
+that no image asks for is not written.
 """
 
 from pathlib import Path
@@ -10,12 +11,13 @@ from typing import Any
 import attrs
 import numpy as np
 import tomli_w
-import trimesh
 
 from termwise.scenes.images import openexr
-from termwise.scenes.load import load
+from termwise.scenes.load import UNIT_SQUARE, load
+from termwise.scenes.meshes import ply
 from termwise.scenes.model import Ambient, Light, Material, Mesh, Object, Photons, PointLight, Scene, Sky, Toggles
 from termwise.scenes.store import write_atomically
+from termwise.scenes.textures import Texture
 
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -28,6 +30,7 @@ def save(scene: Scene, path: Path) -> None:
     ValueError : the name does not end in .toml, or is one that would not be read back; a mesh has normals of its own,
         which no field of a scene file says.
     """
+    scene = attrs.evolve(scene, objects=tuple(map(_asked_for, scene.objects)))
     if path.suffix != ".toml" or path.stem.startswith("."):
         raise ValueError(f"{path}: allowed is a name that ends in .toml")
     for thing in scene.objects:
@@ -56,6 +59,12 @@ def save(scene: Scene, path: Path) -> None:
     text = tomli_w.dumps({name: value for name, value in table.items() if value != []})
     write_atomically(path, lambda temporary: temporary.write_text(text, "utf-8"))
     assert load(path).digest() == scene.digest(), path
+
+
+def _asked_for(thing: Object) -> Object:
+    """An object without what no file would say of it."""
+    unread = thing.mesh.uv is not None and not thing.surface.textures
+    return attrs.evolve(thing, mesh=attrs.evolve(thing.mesh, uv=None)) if unread else thing
 
 
 def _smooth(mesh: Mesh) -> bool:
@@ -98,9 +107,15 @@ def _object(thing: Object, number: int, files: Path) -> dict[str, Any]:
     if thing.mesh.normals is not None:
         table["normals"] = "smooth"
     table |= _changed(thing.material, Material())
+    table |= {name: _image(image, f"{number:02d}.{name}.exr", files) for name, image in thing.material.textures.items()}
     if thing.emits:
         table["emission"] = list(thing.emission)
     return table
+
+
+def _image(texture: Texture, name: str, files: Path) -> dict[str, Any]:
+    write_atomically(files / name, lambda temporary: openexr.write(temporary, texture.texels))
+    return {"file": f"{files.name}/{name}"} | ({} if texture.wrap == "repeat" else {"wrap": texture.wrap})
 
 
 def _shape(mesh: Mesh, number: int, files: Path) -> dict[str, Any]:
@@ -108,10 +123,12 @@ def _shape(mesh: Mesh, number: int, files: Path) -> dict[str, Any]:
         origin, first, _, last = mesh.vertices
         edges = first - origin, last - origin
         corners = origin, origin + edges[0], origin + edges[0] + edges[1], origin + edges[1]
-        if np.array_equal(np.array(corners, np.float32), mesh.vertices):
+        lies = mesh.uv is None or np.array_equal(mesh.uv, UNIT_SQUARE[_QUAD])
+        if lies and np.array_equal(np.array(corners, np.float32), mesh.vertices):
             return {"shape": "rectangle", "origin": origin.tolist(), "edges": [e.tolist() for e in edges]}
     name = f"{number:02d}.ply"
-    content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type="ply")
-    assert isinstance(content, bytes)
-    write_atomically(files / name, lambda temporary: temporary.write_bytes(content))
+    write_atomically(
+        files / name,
+        lambda temporary: ply.write(temporary, mesh.vertices, None, mesh.faces, uv=mesh.uv, by_vertex=False),
+    )
     return {"shape": "mesh", "file": f"{files.name}/{name}"}

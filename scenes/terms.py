@@ -16,7 +16,7 @@ import numpy as np
 import PIL.Image
 
 from termwise.scenes import reads, srgb
-from termwise.scenes.model import BLACK, Color, Material, Scene
+from termwise.scenes.model import BLACK, Color, Material, Scene, largest
 from termwise.scenes.reads import Read, read
 
 Term = str
@@ -75,9 +75,15 @@ def _diffuse(scene: Scene, material: Material) -> Color:
     return scene.diffuse_weight(material)
 
 
+def _diffuse_part(scene: Scene, material: Material) -> tuple[object, ...]:
+    """All that the weight of a surface depends on."""
+    weight = scene.diffuse_weight(material)
+    return (weight, material.color, scene.specular_weight(material)) if material.textures else weight
+
+
 def _ambient(scene: Scene, material: Material) -> Color:
     # In the paper's shadow ambient light is of the whole colour.
-    return material.color if scene.shadows == "paper" else scene.diffuse_weight(material)
+    return largest(material.color) if scene.shadows == "paper" else scene.diffuse_weight(material)
 
 
 def _specular(scene: Scene, material: Material) -> Color:
@@ -101,7 +107,7 @@ _DIFFUSE = read(
     "objects.material.color",
     "objects.material.gloss",
     "toggles.reflections",
-    of=lambda scene: tuple(scene.diffuse_weight(thing.surface) for thing in scene.objects),
+    of=lambda scene: tuple(_diffuse_part(scene, thing.surface) for thing in scene.objects),
 )
 _MATERIAL = (
     "objects.material.color",

@@ -147,7 +147,7 @@ def _moved(mesh: Mesh, centre: Any) -> Mesh:
     if not np.isfinite(centre).all():
         raise ValueError(f"position = {centre!r}: allowed are finite numbers")
     shifted = mesh.vertices + np.subtract(centre, mesh.centroid())
-    return Mesh.from_arrays(shifted, mesh.faces, smooth=mesh.normals is not None)
+    return Mesh.from_arrays(shifted, mesh.faces, smooth=mesh.normals is not None, uv=mesh.uv)
 
 
 def _scaled(mesh: Mesh, extent: float) -> Mesh:
@@ -155,7 +155,7 @@ def _scaled(mesh: Mesh, extent: float) -> Mesh:
         raise ValueError(f"size = {extent!r}: allowed is a number in (0, inf)")
     centre = np.array(mesh.centroid())
     scaled = centre + (mesh.vertices - centre) * (extent / _extent(mesh))
-    return Mesh.from_arrays(scaled, mesh.faces, smooth=mesh.normals is not None)
+    return Mesh.from_arrays(scaled, mesh.faces, smooth=mesh.normals is not None, uv=mesh.uv)
 
 
 # What an object's mesh is moved and scaled by: the centre of its surface, and the root of its area.

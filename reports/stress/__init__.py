@@ -11,7 +11,7 @@ from typing import Any
 
 from termwise.reference import backend
 from termwise.reports.bench.common import known, machine, positive
-from termwise.reports.stress import garbage, intersection, lights, photons, radiance, rounding, shading
+from termwise.reports.stress import garbage, images, intersection, lights, photons, radiance, rounding, shading
 from termwise.reports.stress.row import SIDES, Row
 from termwise.reports.stress.row import measure as measure_row
 
@@ -21,6 +21,7 @@ GROUPS: dict[str, ModuleType] = {
     "radiance": radiance,
     "photons": photons,
     "lights": lights,
+    "images": images,
     "rounding": rounding,
     "garbage": garbage,
 }

@@ -79,7 +79,7 @@ def perturbed(scene: Scene, unit: float, rng: np.random.Generator) -> Scene:
             attrs.evolve(
                 thing,
                 # Past `from_arrays`, which would round to float32.
-                mesh=Mesh(shake(thing.mesh.vertices), thing.mesh.faces, thing.mesh.normals),
+                mesh=attrs.evolve(thing.mesh, vertices=shake(thing.mesh.vertices)),
                 emission=three(thing.emission),
             )
             for thing in scene.objects

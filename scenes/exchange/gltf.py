@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from termwise.scenes.exchange import spheres
-from termwise.scenes.exchange.neutral import describe, reach
+from termwise.scenes.exchange.neutral import describe, reach, refuse_images
 from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
 
@@ -27,6 +27,7 @@ _FLOAT, _UNSIGNED = 5126, 5125
 
 def write(scene: Scene, path: Path) -> list[str]:
     """Write a scene as GLB; return what it does not say, a sentence each, as its `asset.extras.left_out`."""
+    refuse_images(scene, "GLB")
     given = describe(scene)
     described, of_triangles = spheres.meshed(given)
     missing = given["left_out"] + of_triangles + left_out(given)

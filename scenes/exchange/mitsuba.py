@@ -15,11 +15,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termwise.scenes.exchange import panorama
-from termwise.scenes.exchange.neutral import describe, reach
+from termwise.scenes.exchange.neutral import describe, images_of, reach
 from termwise.scenes.images import openexr
 from termwise.scenes.meshes import ply
 from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
+from termwise.scenes.textures import downwards, of_two_at_least
 
 SUFFIX = ".xml"
 SAMPLES = 64
@@ -74,9 +75,12 @@ def write_described(
     _sensor(root, described, reach(scene), spp, seed)
     for number, (thing, name) in enumerate(zip(described["objects"], _names(described), strict=True)):
         mesh = files / f"{number:02d}.ply"
-        arrays = thing["vertices"], thing["normals"], thing["faces"]
+        arrays = thing["vertices"], thing["normals"], thing["faces"], thing.get("uv")
         write_atomically(mesh, functools.partial(_write_mesh, arrays))
-        _shape(root, thing, name, f"{files.name}/{mesh.name}")
+        _shape(root, thing, name, files.name, mesh.name)
+    for name, image in images_of(scene).items():
+        texels = of_two_at_least(image.texels)
+        write_atomically(files / name, functools.partial(openexr.write, pixels=texels))
     for number, light in enumerate(described["lights"]):
         _light(root, light, f"light: {number}")
     sky = described["sky"]
@@ -126,9 +130,11 @@ def _names(described: dict[str, Any]) -> list[str]:
     return found
 
 
-def _write_mesh(arrays: tuple[Any, Any, Any], path: Path) -> None:
-    vertices, normals, faces = arrays
-    ply.write(path, np.array(vertices), None if normals is None else np.array(normals), np.array(faces))
+def _write_mesh(arrays: tuple[Any, Any, Any, Any], path: Path) -> None:
+    vertices, normals, faces, uv = (None if each is None else np.array(each) for each in arrays)
+    assert vertices is not None
+    assert faces is not None
+    ply.write(path, vertices, normals, faces, uv=None if uv is None else downwards(uv))
 
 
 def _sensor(root: ElementTree.Element, described: dict[str, Any], size: float, spp: int, seed: int | None) -> None:
@@ -151,20 +157,24 @@ def _sensor(root: ElementTree.Element, described: dict[str, Any], size: float, s
         _value(sampler, "integer", "seed", seed)
 
 
-def _shape(root: ElementTree.Element, thing: dict[str, Any], name: str, file: str) -> None:
+def _shape(root: ElementTree.Element, thing: dict[str, Any], name: str, folder: str, mesh: str) -> None:
     shape = _plugin(root, "shape", "ply", id=name)
-    _value(shape, "string", "filename", file)
+    _value(shape, "string", "filename", f"{folder}/{mesh}")
     _value(shape, "boolean", "face_normals", "true" if thing["normals"] is None else "false")
-    _bsdf(_plugin(shape, "bsdf", "twosided"), thing["material"])
+    _bsdf(_plugin(shape, "bsdf", "twosided"), thing["material"], folder)
     if any(thing["emission"]):
         _value(_plugin(shape, "emitter", "area"), "rgb", "radiance", _numbers(thing["emission"]))
 
 
-def _bsdf(parent: ElementTree.Element, material: dict[str, Any]) -> None:
+def _bsdf(parent: ElementTree.Element, material: dict[str, Any], folder: str) -> None:
     if material["gloss"] > 0.0:
         parent = _plugin(parent, "bsdf", "blendbsdf")
         _value(parent, "float", "weight", material["gloss"])
-    _value(_plugin(parent, "bsdf", "diffuse"), "rgb", "reflectance", _numbers(material["color"]))
+    diffuse = _plugin(parent, "bsdf", "diffuse")
+    if isinstance(material["color"], dict):
+        _image(diffuse, "reflectance", material["color"], folder)
+    else:
+        _value(diffuse, "rgb", "reflectance", _numbers(material["color"]))
     if material["gloss"] > 0.0:
         # A conductor without absorption is a dielectric seen from outside: f0 = ((n - 1) / (n + 1))².
         roots = [math.sqrt(min(f0, BRIGHT)) for f0 in material["f0"]]
@@ -173,6 +183,15 @@ def _bsdf(parent: ElementTree.Element, material: dict[str, Any]) -> None:
         _value(lobe, "float", "alpha", material["roughness"])
         _value(lobe, "rgb", "eta", _numbers((1.0 + root) / (1.0 - root) for root in roots))
         _value(lobe, "rgb", "k", _numbers((0.0, 0.0, 0.0)))
+
+
+def _image(parent: ElementTree.Element, name: str, image: dict[str, Any], folder: str) -> None:
+    """Linear texels as they are; without a GPU's own lookup, whose weights have 8 bits."""
+    bitmap = _plugin(parent, "texture", "bitmap", name=name)
+    _value(bitmap, "string", "filename", f"{folder}/{image['image']}")
+    _value(bitmap, "string", "wrap_mode", image["wrap"])
+    _value(bitmap, "boolean", "raw", "true")
+    _value(bitmap, "boolean", "accel", "false")
 
 
 def _light(root: ElementTree.Element, light: dict[str, Any], name: str) -> None:

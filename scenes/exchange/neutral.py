@@ -5,6 +5,7 @@ An adapter reads it with a JSON library alone. `neutral.schema.json` says each f
 the paper's settings that mean nothing there are named in `left_out`.
 """
 
+import functools
 import json
 import math
 from pathlib import Path
@@ -27,8 +28,9 @@ from termwise.scenes.model import (
     shines,
 )
 from termwise.scenes.store import write_atomically
+from termwise.scenes.textures import Texture
 
-FORMAT, VERSION = "termwise-neutral", 1
+FORMAT, VERSION, VERSION_OF_IMAGES = "termwise-neutral", 1, 2
 SUFFIX = ".json"
 SCHEMA = Path(__file__).with_name("neutral.schema.json")
 CONVENTIONS = {
@@ -41,6 +43,9 @@ CONVENTIONS = {
     "normals": "unit shading normals at the vertices, interpolated; null: the face's own",
     "material": "f = (1 - gloss) color / pi + gloss F D G / (4 cos_i cos_o): F = f0 + (1 - f0) (1 - cos)^5, "
     "D Beckmann's with alpha = roughness, G = G1(i) G1(o) Smith's exact",
+    "image": "in the place of a colour of a material: linear, bilinear between centres of texels, of the uv of the "
+    "face's corners: (0, 0) is the lower left corner of the image, v upwards; beyond [0, 1] it repeats, or with "
+    "wrap clamp its border goes on; a sample is the value at one point",
     "emission": "radiance that leaves the front of the faces; the back of a lamp is black, and neither side reflects",
     "point": "intensity is radiant intensity, radiance x area, per steradian: a surface at distance d that faces the "
     "light has the irradiance intensity / d^2",
@@ -72,11 +77,12 @@ def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
     """
     right, up, forward = scene.camera.frame()
     lit = scene.toggles.lighting
+    textured = bool(images_of(scene))
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION_OF_IMAGES if textured else VERSION,
         "name": scene.name,
-        "conventions": CONVENTIONS,
+        "conventions": {name: text for name, text in CONVENTIONS.items() if textured or name != "image"},
         "left_out": left_out(scene),
         "film": {"resolution": list(scene.resolution), "filter": "box", "first_row": "top"},
         "camera": {
@@ -92,18 +98,44 @@ def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
     }
 
 
+def images_of(scene: Scene) -> dict[str, Texture]:
+    """The images of all surfaces by the names of their files, which are named by what they hold."""
+    images = (image for thing in scene.objects for image in thing.surface.textures.values())
+    return {_image_file(image): image for image in images}
+
+
+def _image_file(image: Texture) -> str:
+    return f"image-{image.content[:16]}.exr"
+
+
+def refuse_images(scene: Scene, what: str) -> None:
+    """Refuse a scene with an image on a surface, for a format that is written without."""
+    for thing in scene.objects:
+        for name in thing.surface.textures:
+            raise ValueError(
+                f"{scene.name}: objects: {thing.name!r}: {name}: is an image, and {what} is written without: allowed "
+                "are neutral and mitsuba"
+            )
+
+
+def _said(value: Any) -> Any:
+    """A field of a material."""
+    if isinstance(value, Texture):
+        return {"image": _image_file(value), "wrap": value.wrap}
+    return list(value) if isinstance(value, tuple) else value
+
+
 def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
-    gloss = scene.specular_weight(thing.surface)
+    surface = attrs.evolve(thing.surface, gloss=scene.specular_weight(thing.surface))
+    mapped = {"uv": thing.mesh.uv.tolist()} if thing.mesh.uv is not None and surface.textures else {}
     return {
         "name": thing.name,
         "vertices": thing.mesh.vertices.tolist(),
         "faces": thing.mesh.faces.tolist(),
         "normals": None if thing.mesh.normals is None or thing.emits else thing.mesh.normals.tolist(),
-        "material": attrs.asdict(
-            attrs.evolve(thing.surface, gloss=gloss),
-            value_serializer=lambda _owner, _field, value: list(value) if isinstance(value, tuple) else value,
-        ),
+        "material": {field.name: _said(getattr(surface, field.name)) for field in attrs.fields(type(surface))},
         "emission": list(thing.emission) if lit else [0.0, 0.0, 0.0],
+        **mapped,
     }
 
 
@@ -179,7 +211,7 @@ def write_neutral(scene: Scene, path: Path) -> Path:
     Returns
     -------
     The JSON file, which appears last and whole. The image of a sky is NAME.sky.exr beside it: OpenEXR, three channels
-    of float32, named in the file without a folder.
+    of float32, named in the file without a folder; so are those of surfaces.
     """
     file = path if path.suffix == SUFFIX else path / f"{scene.name}{SUFFIX}"
     sky = f"{file.stem}.sky.exr"
@@ -187,8 +219,15 @@ def write_neutral(scene: Scene, path: Path) -> Path:
     texture = scene.sky.texture
     if described["sky"] is not None and texture is not None:
         write_atomically(file.with_name(sky), lambda temporary: openexr.write(temporary, texture))
+    write_images(scene, file.parent)
     write_atomically(file, lambda temporary: temporary.write_text(_text(described), "utf-8"))
     return file
+
+
+def write_images(scene: Scene, folder: Path) -> None:
+    """Write the images of surfaces, an OpenEXR file each."""
+    for name, image in images_of(scene).items():
+        write_atomically(folder / name, functools.partial(openexr.write, pixels=image.texels))
 
 
 def _text(described: dict[str, Any]) -> str:

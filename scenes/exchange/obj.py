@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from termwise.scenes.exchange import spheres
-from termwise.scenes.exchange.neutral import describe
+from termwise.scenes.exchange.neutral import describe, refuse_images
 from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
 
@@ -18,6 +18,7 @@ SUFFIX = ".obj"
 
 def write(scene: Scene, path: Path) -> list[str]:
     """Write a scene as OBJ, and NAME.mtl beside it; return what they do not say, as their comments do."""
+    refuse_images(scene, "OBJ")
     given = describe(scene)
     described, of_triangles = spheres.meshed(given)
     missing = given["left_out"] + of_triangles + left_out(given)

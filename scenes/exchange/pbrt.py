@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from termwise.scenes.exchange import panorama
-from termwise.scenes.exchange.neutral import describe
+from termwise.scenes.exchange.neutral import describe, refuse_images
 from termwise.scenes.images import openexr
 from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
@@ -22,6 +22,7 @@ DEPTH = 1000
 
 def write(scene: Scene, path: Path) -> list[str]:
     """Write a scene for pbrt-v4, a sky's image as NAME.sky.exr beside it; return what it does not say."""
+    refuse_images(scene, "pbrt")
     described = describe(scene, sky_file=f"{path.stem}.sky.exr")
     missing = described["left_out"] + left_out(described)
     lines = [f"# {described['name']}, for pbrt-v4; written by Termwise, which has not run pbrt. Not in this file:"]

@@ -17,6 +17,7 @@ import numpy as np
 
 from termwise.scenes.meshes.polygons import MeshError, strip, triangulate
 from termwise.scenes.strict import FileError
+from termwise.scenes.textures import downwards
 
 # Of what a file may require, all that changes no shape; the readers of the rest would draw something else.
 _SHAPELESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "EXT_texture_", "EXT_lights_")
@@ -30,6 +31,19 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) float64 and triangles (F, 3) int64, see `scenes.meshes.read`."""
     with described(path) as file:
         return file.triangles()
+
+
+def read_mapped(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """What `read` gives, and (F, 3, 2) of TEXCOORD_0, see `scenes.meshes.read_mapped`."""
+    with described(path) as file:
+        primitives = [(primitive, triangles) for _, primitive, _, triangles in file.primitives()]
+        found = [file.places(primitive) for primitive, _ in primitives]
+        if all(places is None for places in found):
+            return *file.triangles(), None
+        if any(places is None for places in found):
+            raise MeshError("has primitives without TEXCOORD_0 beside others that have it: allowed are all, or none")
+        uv = [places[triangles] for places, (_, triangles) in zip(found, primitives, strict=True)]  # type: ignore[index]
+        return *file.triangles(), np.concatenate(uv)
 
 
 @contextlib.contextmanager
@@ -108,6 +122,12 @@ class File:
                     if np.linalg.det(world[:3, :3]) < 0:
                         triangles = triangles[:, [0, 2, 1]]
                 yield number, primitive, points, triangles
+
+    def places(self, primitive: Any) -> np.ndarray | None:
+        """Where in an image the points of a primitive lie (V, 2), v upwards; None where it does not say."""
+        if "TEXCOORD_0" not in primitive["attributes"]:
+            return None
+        return downwards(self.accessor(primitive["attributes"]["TEXCOORD_0"]))
 
     def item(self, kind: str, number: int) -> Any:
         """What has a number in one of the lists: Python would take -1 for the last."""

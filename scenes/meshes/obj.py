@@ -24,8 +24,9 @@ class Content:
 
     Attributes
     ----------
-    points, normals : (V, 3) and (N, 3) float64.
-    corners, shading : (C,) int64, index of the point and of the normal (-1: none) of each corner, polygon by polygon.
+    points, normals, places : (V, 3), (N, 3) and (T, 2) float64, the last those in an image.
+    corners, shading, mapped : (C,) int64, index of the point, the normal and the place (-1: none) of each corner,
+        polygon by polygon.
     counts : (P,) int64, corners of each polygon.
     objects, materials : of each polygon, the names of `o` (or `g` where there is none) and `usemtl`, or "".
     libraries : what `mtllib` names.
@@ -33,8 +34,10 @@ class Content:
 
     points: np.ndarray
     normals: np.ndarray
+    places: np.ndarray
     corners: np.ndarray
     shading: np.ndarray
+    mapped: np.ndarray
     counts: np.ndarray
     objects: list[str]
     materials: list[str]
@@ -47,16 +50,30 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return content.points, triangulate(content.points, content.corners, content.counts)
 
 
-def parse(path: Path) -> Content:
-    """All that a file says of its polygons.
+def read_mapped(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """What `read` gives, and (F, 3, 2) of `vt`, see `scenes.meshes.read_mapped`."""
+    content = parse(path, mapped=True)
+    if (content.mapped < 0).all():
+        return *read(path), None
+    if (content.mapped < 0).any():
+        raise MeshError("has corners without vt beside others that have it: allowed are all, or none")
+    # By corners, for a point may have several places.
+    corners = triangulate(content.points[content.corners], np.arange(len(content.corners)), content.counts)
+    return content.points, content.corners[corners], content.places[content.mapped[corners]]
+
+
+def parse(path: Path, *, mapped: bool = False) -> Content:
+    """All that a file says of its polygons; of places in an image only if it is `mapped`.
 
     Raises
     ------
     MeshError, OSError : as `scenes.meshes.read`.
     """
     vertices: dict[str, list[list[float]]] = {"v": [], "vn": []}
+    places: list[list[float]] = []
     corners: list[int] = []
     shading: list[int] = []
+    lying: list[int] = []
     counts: list[int] = []
     lines: list[int] = []
     names = {"o": "", "g": "", "usemtl": ""}
@@ -70,14 +87,21 @@ def parse(path: Path) -> Content:
             except ValueError:
                 raise MeshError(f"{where}: allowed are three numbers") from None
             vertices[word].append([x, y, z])
+        elif word == "vt" and mapped:
+            try:
+                u, v, *_ = *reals(values), 0.0
+            except ValueError:
+                raise MeshError(f"{where}: allowed are two numbers") from None
+            places.append([u, v])
         elif word in ("f", "fo"):
             if len(values) < 3:
                 raise MeshError(f"{where}: allowed are at least 3 corners")
             for value in values:
                 point, _, others = value.partition("/")
                 corners.append(_index(where, value, point, len(vertices["v"])))
-                normal = others.partition("/")[2]
+                place, _, normal = others.partition("/")
                 shading.append(_index(where, value, normal, len(vertices["vn"])) if normal else -1)
+                lying.append(_index(where, value, place, len(places)) if place and mapped else -1)
             counts.append(len(values))
             lines.append(line)
             objects.append(names["o"] or names["g"])
@@ -91,15 +115,17 @@ def parse(path: Path) -> Content:
         elif not word.isidentifier():
             raise MeshError(f"{where}: is no statement of OBJ")
     # An index from 1 may name a vertex that comes later.
-    for kind, indices in (("v", corners), ("vn", shading)):
-        if (wild := np.flatnonzero(np.array(indices, np.int64) >= len(vertices[kind]))).size:
+    for known, indices in ((vertices["v"], corners), (vertices["vn"], shading), (places, lying)):
+        if (wild := np.flatnonzero(np.array(indices, np.int64) >= len(known))).size:
             face = np.searchsorted(np.cumsum(counts), wild[0], side="right")
-            raise MeshError(f"line {lines[face]}: index {indices[wild[0]] + 1}: {_allowed(len(vertices[kind]))}")
+            raise MeshError(f"line {lines[face]}: index {indices[wild[0]] + 1}: {_allowed(len(known))}")
     return Content(
         np.array(vertices["v"], np.float64).reshape(-1, 3),
         np.array(vertices["vn"], np.float64).reshape(-1, 3),
+        np.array(places, np.float64).reshape(-1, 2),
         np.array(corners, np.int64),
         np.array(shading, np.int64),
+        np.array(lying, np.int64),
         np.array(counts, np.int64),
         objects,
         materials,

@@ -1,7 +1,8 @@
 """PLY: text or binary of either byte order, elements and properties of any kind in any order.
 
 The vertices are x, y, z of `vertex`; the polygons the list `vertex_indices` or `vertex_index` of `face`, and the strips
-that of `tristrips`, which end at -1. All else is passed over, and must be whole.
+that of `tristrips`, which end at -1. Where in an image they lie say u, v or s, t of `vertex` (also named `texture_u`,
+`texture_v`), or the list `texcoord` of `face`, two for each corner. All else is passed over, and must be whole.
 """
 
 import re
@@ -18,6 +19,7 @@ _TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": 
 _TYPES |= {"int64": "i8", "uint64": "u8", "float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _LISTS = ("vertex_indices", "vertex_index")
+_PLACES = ("u", "v"), ("s", "t"), ("texture_u", "texture_v")
 
 
 @attrs.frozen
@@ -44,23 +46,68 @@ Column = tuple[np.ndarray, np.ndarray]
 """Values of all rows of a property, one row behind the other, and how many each row has."""
 
 
-def write(path: Path, vertices: np.ndarray, normals: np.ndarray | None, faces: np.ndarray) -> None:
-    """Write binary PLY, little-endian float32, vertices (V, 3) in their order and none merged; triangles (F, 3)."""
+def write(
+    path: Path,
+    vertices: np.ndarray,
+    normals: np.ndarray | None,
+    faces: np.ndarray,
+    *,
+    uv: np.ndarray | None = None,
+    by_vertex: bool = True,
+) -> None:
+    """Write binary PLY, little-endian float32, vertices (V, 3) in their order and none merged; triangles (F, 3).
+
+    `uv` (F, 3, 2) is written as u, v of vertices, of which each corner then is one of its own, or as `texcoord` of
+    faces, which fewer programs read.
+    """
     columns, names = [vertices], ["x", "y", "z"]
     if normals is not None:
         columns.append(normals)
         names += ["nx", "ny", "nz"]
-    polygons = np.empty(len(faces), np.dtype([("count", "u1"), ("indices", "<i4", 3)]))
+    fields, lists = [("count", "u1"), ("indices", "<i4", 3)], ["property list uchar int vertex_indices"]
+    if uv is not None and by_vertex:
+        columns = [*(column[faces.ravel()] for column in columns), uv.reshape(-1, 2)]
+        names += ["u", "v"]
+        faces = np.arange(faces.size).reshape(-1, 3)
+    elif uv is not None:
+        fields += [("numbers", "u1"), ("texcoord", "<f4", 6)]
+        lists.append("property list uchar float texcoord")
+    polygons = np.empty(len(faces), np.dtype(fields))
     polygons["count"], polygons["indices"] = 3, faces
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    if uv is not None and not by_vertex:
+        polygons["numbers"], polygons["texcoord"] = 6, uv.reshape(-1, 6)
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(columns[0])}"]
     header += [f"property float {name}" for name in names]
-    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    header += [f"element face {len(faces)}", *lists, "end_header", ""]
     content = np.ascontiguousarray(np.hstack(columns), "<f4")
     path.write_bytes("\n".join(header).encode() + content.tobytes() + polygons.tobytes())
 
 
 def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) float64 and triangles (F, 3) int64, see `scenes.meshes.read`."""
+    return _triangles(_columns(path))
+
+
+def read_mapped(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """What `read` gives, and (F, 3, 2), see `scenes.meshes.read_mapped`."""
+    columns = _columns(path)
+    vertices, faces = _triangles(columns)
+    of_vertices = columns["vertex"]
+    if names := next((names for names in _PLACES if {*names} <= of_vertices.keys()), None):
+        places = np.stack([of_vertices[name][0].astype(np.float64) for name in names], axis=1)
+        return vertices, faces, places[faces]
+    numbers, lengths = columns.get("face", {}).get("texcoord", (np.empty(0), np.empty(0, np.int64)))
+    if not lengths.any():
+        return vertices, faces, None
+    corners, counts = _indices(columns, "face")
+    if (lengths != 2 * counts).any() or len(faces) != (counts - 2).sum():
+        raise MeshError("has faces without texcoord beside others that have it: allowed are two for each corner")
+    by_corner = triangulate(vertices[corners], np.arange(len(corners)), counts)
+    return vertices, corners[by_corner], numbers.astype(np.float64).reshape(-1, 2)[by_corner]
+
+
+def _columns(path: Path) -> dict[str, dict[str, Column]]:
+    """Columns of each element, at least x, y and z of the vertices."""
     data = path.read_bytes()
     order, elements, start = _header(data)
     columns = (
@@ -68,6 +115,11 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     )
     if not {"x", "y", "z"} <= columns.get("vertex", {}).keys():
         raise MeshError("has no element vertex with x, y and z")
+    return columns
+
+
+def _triangles(columns: dict[str, dict[str, Column]]) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices, and the triangles of faces and of strips."""
     vertices = np.stack([columns["vertex"][axis][0].astype(np.float64) for axis in "xyz"], axis=1)
     faces = triangulate(vertices, *_indices(columns, "face"))
     strips, lengths = _indices(columns, "tristrips")

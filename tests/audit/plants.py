@@ -101,6 +101,9 @@ SUN_PHOTONS = Case("wide sun lights", "direct", "photon-map", samples=16)
 SPHERE = Case("sphere lights", "direct", "path", samples=256)
 SPHERE_PHOTONS = Case("sphere lights", "direct", "photon-map", samples=16)
 SKYLIT = Case("skylit two_cubes", "ambient", "cosine", samples=64)
+IMAGES = Case("textured two_cubes", "ambient", "cosine", samples=64)
+GLOSSY_IMAGES = Case("textured glossy two_cubes", "direct", "path", samples=64)
+IMAGE_PHOTONS = Case("textured cornell_box_unshadowed", "direct", "photon-map", samples=16)
 ALL_LIGHTS = Case("lights", "direct", "path", samples=256)
 
 _AMBIENT = "renderer/terms/ambient.py"
@@ -119,6 +122,7 @@ _TRACING = "renderer/photon_tracing.py"
 _TILES = "renderer/engine.py"
 _CAMERA = "renderer/camera.py"
 _SKY = "renderer/sky.py"
+_IMAGE = "renderer/textures.py"
 _MODEL = "scenes/model.py"
 _OUT = "yield count, out / taken, seconds"
 
@@ -725,6 +729,66 @@ PLANTS = (
         _CAMERA,
         "        return sample_2d(sampler, FILM)",
         "        u, v = sample_2d(sampler, FILM)\n        return 0.5 * u, 0.5 * v",
+    ),
+    # Images on surfaces.
+    Plant("image: upside down", IMAGES, _IMAGE, "_along(1.0 - v, ", "_along(v, "),
+    Plant("image: half a texel aside", IMAGES, _IMAGE, "at = place * size - 0.5", "at = place * size"),
+    Plant(
+        "image: its border goes on where it repeats",
+        IMAGES,
+        _IMAGE,
+        "place = place - math.floor(place) if repeats else",
+        "place = min(max(place, 0.0), 1.0) if repeats else",
+    ),
+    Plant("image: the nearest texel", IMAGES, _IMAGE, "return low, high, at - below", "return low, high, 0.0"),
+    Plant(
+        "image: its mean in its place",
+        IMAGES,
+        _IMAGE,
+        "[image.texels.ravel() for image in images]",
+        "[(0.0 * image.texels + image.texels.mean(axis=(0, 1))).astype(np.float32).ravel() for image in images]",
+    ),
+    Plant(
+        "image: weights of the corners exchanged",
+        IMAGES,
+        _IMAGE,
+        "b0 * uv[face, 0, 0] + b1 * uv[face, 1, 0] + b2 * uv[face, 2, 0]",
+        "b0 * uv[face, 0, 0] + b2 * uv[face, 1, 0] + b1 * uv[face, 2, 0]",
+    ),
+    Plant(
+        "image: diffuse weight without (1 - g)",
+        GLOSSY_IMAGES,
+        "renderer/material.py",
+        "1.0 - materials.specular[surface.object]",
+        "1.0",
+    ),
+    Plant(
+        "image: no photons where it is black",
+        IMAGE_PHOTONS,
+        _TRACING,
+        "and holds_photons(scene, surface):",
+        "and max_component(diffuse_weight(scene, surface)) > 0.0:",
+    ),
+    Plant(
+        "image: sRGB read as linear",
+        Test("tests/unit/test_textures.py::test_whole_numbers_are_srgb_unless_the_file_or_the_scene_says_otherwise"),
+        "scenes/textures.py",
+        'if encoding == "linear":',
+        "if encoding:",
+    ),
+    Plant(
+        "image: glTF's v taken for ours",
+        Test("tests/unit/test_textures.py::test_one_quad_lies_alike_whatever_file_holds_it"),
+        "scenes/meshes/glb.py",
+        'return downwards(self.accessor(primitive["attributes"]["TEXCOORD_0"]))',
+        'return self.accessor(primitive["attributes"]["TEXCOORD_0"])',
+    ),
+    Plant(
+        "keys: blind to texels",
+        Test("tests/unit/test_textures.py::test_keys_see_texels_and_places"),
+        "scenes/textures.py",
+        "repr(self.texels.shape).encode() + self.texels.data",
+        "repr(self.texels.shape).encode()",
     ),
     # Geometry, and how a scene is read.
     Plant(

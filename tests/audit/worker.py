@@ -17,6 +17,7 @@ from termwise import renderer
 from termwise.renderer import Engine, find
 from termwise.scenes.load import load
 from termwise.scenes.model import Ambient, Mesh, Object, PointLight, Scene, Sky
+from termwise.scenes.textures import Texture
 
 _KEPT_BYTES = 1 << 26
 
@@ -75,6 +76,20 @@ def _wide(scene: Scene) -> Scene:
     return attrs.evolve(scene, lights=tuple(lights))
 
 
+def _textured(scene: Scene) -> Scene:
+    """An image on each surface, a quarter of it black, along x and y with a slant: seen on all sides, over borders."""
+    texels = np.random.default_rng(7).uniform(0.1, 0.9, (5, 4, 3)).astype(np.float32)
+    texels[1:3, 1:3] = 0.0
+    low, high = scene.bounds()
+    slant = np.array([(1.0, 0.0), (0.0, 1.0), (0.6, 0.8)]) * 2.5 / (high - low).max()
+
+    def laid(thing: Object) -> Object:
+        mesh = attrs.evolve(thing.mesh, uv=np.float32(thing.mesh.vertices[thing.mesh.faces] @ slant).astype(float))
+        return attrs.evolve(thing, mesh=mesh, material=attrs.evolve(thing.material, color=Texture(texels)))
+
+    return attrs.evolve(scene, objects=tuple(map(laid, scene.objects)))
+
+
 _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "glossy": _material(gloss=0.5, roughness=0.6, f0=(0.04, 0.04, 0.04)),
     "metal": _material(gloss=0.7, roughness=0.5, f0=(0.9, 0.9, 0.9)),
@@ -92,6 +107,7 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "shadowed": lambda scene: attrs.evolve(scene, shadows="paper"),
     "skylit": lambda scene: attrs.evolve(scene, ambient=Ambient(source="sky")),
     "bright": lambda scene: attrs.evolve(scene, irradiance="E"),
+    "textured": _textured,
     "drawn": lambda scene: attrs.evolve(scene, draw_lights=True),
     "sharp": lambda scene: attrs.evolve(scene, photons=attrs.evolve(scene.photons, kernel="epanechnikov")),
 }
@@ -107,7 +123,7 @@ class Case:
         surfaces, `turned`: the first object's faces look the other way, `smooth`: vertex normals, `lamps`: more
         lights, `spot`, `directional`, `sun`, `sphere`: of all lights those alone, `wide`: a wide sun, `plain` and
         `panorama`: another sky, `skylit`: the sky is the ambient light, `shadowed` and `bright`: choices of the paper,
-        `drawn`: lights are seen, `sharp`: another kernel of photons.
+        `drawn`: lights are seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.

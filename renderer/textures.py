@@ -1,0 +1,105 @@
+"""Images on surfaces: `u = (1 - b1 - b2) u0 + b1 u1 + b2 u2`, and bilinear between centres of texels.
+
+What an image means says `scenes.textures`. Coordinates are float64, texels the float32 that they are given as.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3
+from termwise.scenes.model import Scene
+from termwise.scenes.textures import Texture
+
+
+class Textures(NamedTuple):
+    """The images of a scene, one behind the other, each once.
+
+    Attributes
+    ----------
+    uv : (F, 3, 2), place of each face's corners in an image; 0 of what has none.
+    color : (O,) int32, which image is an object's colour; -1: none.
+    first : (T,) int64, where an image begins among the texels.
+    width, height : (T,) int64.
+    repeats : (T,) bool; else the border goes on.
+    texels : (N,) float32, row by row from the top, channel by channel.
+    """
+
+    uv: np.ndarray
+    color: np.ndarray
+    first: np.ndarray
+    width: np.ndarray
+    height: np.ndarray
+    repeats: np.ndarray
+    texels: np.ndarray
+
+
+def from_scene(scene: Scene) -> Textures | None:
+    """Those of its surfaces; None without."""
+    images = list(dict.fromkeys(image for surface in scene.surfaces for image in surface.textures.values()))
+    if not images:
+        return None
+    meshes = [thing.mesh for thing in scene.objects]
+    sizes = [image.texels.size for image in images]
+    return Textures(
+        np.concatenate([np.zeros((len(mesh.faces), 3, 2)) if mesh.uv is None else mesh.uv for mesh in meshes]),
+        np.array([_number(images, surface.color) for surface in scene.surfaces], np.int32),
+        np.cumsum([0, *sizes[:-1]]),
+        np.array([image.texels.shape[1] for image in images]),
+        np.array([image.texels.shape[0] for image in images]),
+        np.array([image.wrap == "repeat" for image in images]),
+        np.concatenate([image.texels.ravel() for image in images]),
+    )
+
+
+def _number(images: list[Texture], value: object) -> int:
+    return images.index(value) if isinstance(value, Texture) else -1
+
+
+@device
+def _along(place: float, size: int, repeats: bool) -> tuple[int, int, float]:
+    """The texels on both sides of a place along an axis of [0, 1], and the share of the second."""
+    place = place - math.floor(place) if repeats else min(max(place, 0.0), 1.0)
+    at = place * size - 0.5
+    below = math.floor(at)
+    low, high = int(below), int(below) + 1
+    if repeats:
+        low = size - 1 if low < 0 else low
+        high = 0 if high == size else high
+    else:
+        low, high = max(low, 0), min(high, size - 1)
+    return low, high, at - below
+
+
+@device
+def _place(images: Textures, face: int, b1: float, b2: float) -> tuple[float, float]:
+    b0 = 1.0 - b1 - b2
+    uv = images.uv
+    return (
+        b0 * uv[face, 0, 0] + b1 * uv[face, 1, 0] + b2 * uv[face, 2, 0],
+        b0 * uv[face, 0, 1] + b1 * uv[face, 1, 1] + b2 * uv[face, 2, 1],
+    )
+
+
+@device
+def color_at(images: Textures, image: int, face: int, b1: float, b2: float) -> Vec3:
+    """Colour of an image at a point of a face."""
+    u, v = _place(images, face, b1, b2)
+    width, repeats = images.width[image], images.repeats[image]
+    left, right, across = _along(u, width, repeats)
+    top, bottom, down = _along(1.0 - v, images.height[image], repeats)
+    a, b = (1.0 - across) * (1.0 - down), across * (1.0 - down)
+    c, d = (1.0 - across) * down, across * down
+    first = images.first[image]
+    top_left, top_right = first + 3 * (top * width + left), first + 3 * (top * width + right)
+    bottom_left, bottom_right = first + 3 * (bottom * width + left), first + 3 * (bottom * width + right)
+    t = images.texels
+    return Vec3(
+        a * t[top_left] + b * t[top_right] + c * t[bottom_left] + d * t[bottom_right],
+        a * t[top_left + 1] + b * t[top_right + 1] + c * t[bottom_left + 1] + d * t[bottom_right + 1],
+        a * t[top_left + 2] + b * t[top_right + 2] + c * t[bottom_left + 2] + d * t[bottom_right + 2],
+    )

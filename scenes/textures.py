@@ -1,0 +1,190 @@
+"""Images over a surface: a value at (u, v), bilinear between texel centres at ((i + 0.5) / W, 1 - (j + 0.5) / H).
+
+(0, 0) is the lower left corner of the image and v goes up, as in OBJ; row j = 0 is the top one. Beyond [0, 1] the
+image repeats, or its border goes on. Texels are float32, as both renderers have them, and nothing is filtered
+beforehand: a sample is the value at one point.
+"""
+
+import hashlib
+import io
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import attrs
+import numpy as np
+import PIL.Image
+import PIL.ImageCms
+
+from termwise.scenes import images, srgb
+
+Wrap = Literal["repeat", "clamp"]
+Encoding = Literal["sRGB", "linear"]
+Channel = Literal["R", "G", "B"]
+
+_OF_BYTES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG"}
+ALLOWED = f"PNG, JPEG, {images.ALLOWED}"
+_GAMMAS: dict[float, Encoding] = {0.45455: "sRGB", 1.0: "linear"}
+"""What the chunk gAMA of PNG means; programs write the first for sRGB's curve, to which it is near."""
+
+
+def _texels(values: Any) -> np.ndarray:
+    with np.errstate(over="ignore"):  # what is not finite is refused by whoever knows the range
+        texels = np.array(values, np.float32, order="C")
+    if texels.ndim == 2:
+        texels = texels[..., None]
+    if texels.ndim != 3 or texels.shape[2] not in (1, 3) or 0 in texels.shape:
+        raise ValueError(
+            f"texels of the shape {np.shape(values)}: allowed are (height, width) and (height, width, 1 or 3)"
+        )
+    texels.flags.writeable = False
+    return texels
+
+
+def _wrap(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+    if value not in ("repeat", "clamp"):
+        raise ValueError(f"{attribute.name} = {value!r}: allowed are 'repeat' and 'clamp'")
+
+
+def _of_channels(reduce: Callable[..., np.ndarray]) -> Any:
+    """The least or the greatest of each channel; NaN where a texel is."""
+    of = attrs.Factory(lambda self: tuple(reduce(self.texels, axis=(0, 1)).tolist()), takes_self=True)
+    return attrs.field(init=False, eq=False, repr=False, default=of)
+
+
+@attrs.frozen
+class Texture:
+    """An image in the place of a number or a colour of a material; equal where its content is.
+
+    Attributes
+    ----------
+    texels : (H, W, C) float32, C 1 for a number and 3 for a colour; linear, top row first. (H, W) is taken too.
+    wrap : beyond [0, 1] "repeat", or "clamp": the border goes on.
+    low, high : the least and the greatest value of each channel: between texels there is nothing beyond.
+    content : sha256 of the texels.
+    """
+
+    texels: np.ndarray = attrs.field(
+        converter=_texels, eq=False, repr=lambda texels: f"<{texels.shape[1]} x {texels.shape[0]}>"
+    )
+    wrap: Wrap = attrs.field(default="repeat", validator=_wrap)
+    low: tuple[float, ...] = _of_channels(np.min)
+    high: tuple[float, ...] = _of_channels(np.max)
+    content: str = attrs.field(
+        init=False,
+        repr=False,
+        default=attrs.Factory(
+            lambda self: hashlib.sha256(repr(self.texels.shape).encode() + self.texels.data).hexdigest(),
+            takes_self=True,
+        ),
+    )
+
+    @property
+    def channels(self) -> int:
+        """1 or 3."""
+        return self.texels.shape[2]
+
+    def beyond(self, within: Callable[[np.ndarray], np.ndarray]) -> str | None:
+        """The first texel that is not `within`, in words; None where all are."""
+        bad = np.argwhere(~within(self.texels))
+        if not len(bad):
+            return None
+        row, column, _ = bad[0]
+        return f"texel {self.texels[row, column].tolist()} in row {row}, column {column}"
+
+
+def of_two_at_least(texels: np.ndarray) -> np.ndarray:
+    """The same image of two rows and columns at least: Mitsuba resamples one of fewer."""
+    for axis in range(2):
+        texels = np.repeat(texels, 2, axis=axis) if texels.shape[axis] == 1 else texels
+    return texels
+
+
+def downwards(uv: np.ndarray) -> np.ndarray:
+    """Places (..., 2) in an image where v goes down from the top row, as Mitsuba and glTF have it; and back."""
+    return uv * (1.0, -1.0) + (0.0, 1.0)
+
+
+def read_color(path: Path, encoding: Encoding | None) -> np.ndarray:
+    """Linear texels (H, W, 3) float32 of an image.
+
+    Parameters
+    ----------
+    path : of a file of `ALLOWED`.
+    encoding : what its values are; None: what the file says, sRGB for whole numbers of which it says nothing.
+
+    Raises
+    ------
+    ValueError : what is wrong, without the file's name.
+    """
+    return _linear(*_read(path, encoding))
+
+
+def read_number(path: Path, encoding: Encoding | None, channel: Channel | None) -> np.ndarray:
+    """Texels (H, W) float32 of a grey image, or of one channel; whole numbers are linear unless `encoding` says not.
+
+    Raises
+    ------
+    ValueError : as `read_color`; for an image of colours without a channel.
+    """
+    values, encoding = _read(path, encoding or "linear")
+    if channel is None and not np.array_equal(values, np.repeat(values[..., :1], 3, axis=2), equal_nan=True):
+        raise ValueError("holds colours: allowed is a grey image, or a channel of it, 'R', 'G' or 'B'")
+    return _linear(values[..., "RGB".index(channel or "R")], encoding)
+
+
+def _linear(values: np.ndarray, encoding: Encoding) -> np.ndarray:
+    if encoding == "linear":
+        return values.astype(np.float32)
+    with np.errstate(invalid="ignore"):  # of NaN, and of what is below 0
+        return srgb.decoded(values.astype(np.float64)).astype(np.float32)
+
+
+def _read(path: Path, encoding: Encoding | None) -> tuple[np.ndarray, Encoding]:
+    """Values (H, W, 3), of whole numbers as shares of the largest, and their encoding; the one that is given if any."""
+    try:
+        with path.open("rb") as file:
+            first = file.read(26)
+    except OSError as error:
+        raise ValueError(f"cannot be read: {error.strerror or error}") from None
+    kind = next((name for magic, name in _OF_BYTES.items() if first.startswith(magic)), None)
+    try:
+        if kind is None:
+            return images.read_one(path).pixels, encoding or "linear"
+        with warnings.catch_warnings(), PIL.Image.open(path, formats=[kind]) as image:
+            warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
+            return _shares(image, kind == "PNG" and first[24:25] == b"\x10"), encoding or _said(image)
+    except (OSError, SyntaxError, PIL.Image.DecompressionBombError) as error:
+        raise ValueError(f"cannot be read: {' '.join(str(error).split())}") from None
+    except ValueError as error:
+        raise ValueError(str(error).removeprefix(f"{path}: ").replace(images.ALLOWED, ALLOWED)) from None
+
+
+def _shares(image: PIL.Image.Image, wide: bool) -> np.ndarray:
+    """Values (H, W, 3) in [0, 1]; `wide`: of 16 bits."""
+    if image.has_transparency_data:
+        if image.convert("RGBA").getextrema()[3][0] < 255:
+            raise ValueError("holds transparent texels, and a surface is opaque: allowed is an image without")
+    elif image.mode not in ("1", "L", "P", "RGB", "I;16"):
+        raise ValueError(f"holds {image.mode}: allowed are grey and RGB")
+    if image.mode == "I;16":
+        return np.repeat(np.asarray(image, np.float64)[..., None] / 65535.0, 3, axis=2)
+    if wide:
+        raise ValueError("holds colours of 16 bits, which would be cut to 8: write OpenEXR, or 8 bits")
+    return np.asarray(image.convert("RGB"), np.float64) / 255.0
+
+
+def _said(image: PIL.Image.Image) -> Encoding:
+    """What a file of whole numbers says of its encoding; sRGB where it says nothing."""
+    if "srgb" in image.info:
+        return "sRGB"
+    if profile := image.info.get("icc_profile"):
+        name = PIL.ImageCms.getProfileDescription(PIL.ImageCms.ImageCmsProfile(io.BytesIO(profile))).strip()
+        if "srgb" in name.lower():
+            return "sRGB"
+        raise ValueError(f"is of the profile {name!r}: allowed is sRGB, or to say the encoding, 'sRGB' or 'linear'")
+    gamma = image.info.get("gamma", 0.45455)
+    if gamma not in _GAMMAS:
+        raise ValueError(f"says that its gamma is {gamma:g}: allowed is to say the encoding, 'sRGB' or 'linear'")
+    return _GAMMAS[gamma]

@@ -1,0 +1,400 @@
+"""Images on surfaces: how their files are read, refused, laid on meshes, kept in keys and written again.
+
+Rationale: a wrong encoding or an image upside down is a plausible picture. Values are decoded by colour-science, places
+are told by one quad that three formats hold, and each refusal is one line that names object, field, file and reason.
+"""
+
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import attrs
+import colour
+import jsonschema
+import numpy as np
+import PIL.Image
+import PIL.PngImagePlugin
+import pytest
+
+from termwise.renderer.terms import DEFAULTS, VARIANTS
+from termwise.reports.engines import asked
+from termwise.reports.jobs import cells
+from termwise.scenes import meshes, reads, textures
+from termwise.scenes.analytic import plate
+from termwise.scenes.exchange import gltf, mitsuba, neutral, obj, pbrt
+from termwise.scenes.images import openexr
+from termwise.scenes.load import load
+from termwise.scenes.model import Camera, Material, Mesh, Object, Scene, largest
+from termwise.scenes.save import save
+from termwise.scenes.strict import FileError
+from termwise.scenes.terms import TABLE
+from termwise.scenes.textures import Texture
+
+BYTES = np.random.default_rng(1).integers(0, 256, (3, 5, 3), dtype=np.uint8)
+SHARES = BYTES / 255.0
+SRGB = colour.cctf_decoding(SHARES, function="sRGB")
+TOML = """
+resolution = [8, 8]
+camera = { position = [0, 0, 3], target = [0, 0, 0], up = [0, 1, 0], pixel = "centre" }
+toggles = { ambient_occlusion = false }
+ambient = { color = [1, 1, 1] }
+
+[[objects]]
+name = "floor"
+"""
+PLACES = {
+    "rectangle": 'shape = "rectangle"\norigin = [-1, -1, 0]\nedges = [[2, 0, 0], [0, 2, 0]]\n',
+    "box": 'shape = "box"\nsize = [2, 2, 2]\n',
+    "sphere": 'shape = "sphere"\n',
+}
+
+
+def png(path: Path, values: np.ndarray = BYTES, **said: Any) -> Path:
+    PIL.Image.fromarray(values).save(path, **said)
+    return path
+
+
+def scene_of(folder: Path, color: str, shape: str = PLACES["rectangle"], *, more: str = "") -> Scene:
+    path = folder / "scene.toml"
+    path.write_text(f"{TOML}{shape}color = {color}\n{more}")
+    return load(path)
+
+
+def textured(texels: Any = SRGB, **changes: Any) -> Scene:
+    """A square of one image, and a plain one beside it."""
+    square = plate("floor", (-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), Material())
+    mesh = Mesh.from_arrays(square.mesh.vertices, square.mesh.faces, uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    floor = attrs.evolve(square, mesh=mesh, material=Material(Texture(texels)))
+    aside = plate("aside", (2.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), Material())
+    return Scene("squares", Camera((0.0, -0.5, 3.0), (0.0, 0.0, 0.0)), (floor, aside), **changes)
+
+
+# What a file says.
+
+
+def test_whole_numbers_are_srgb_unless_the_file_or_the_scene_says_otherwise(tmp_path: Path):
+    for suffix in (".png", ".jpg"):
+        kept = png(tmp_path / f"flat{suffix}", np.full((8, 8, 3), 100, np.uint8))
+        expected = colour.cctf_decoding(100 / 255, function="sRGB")
+        np.testing.assert_allclose(textures.read_color(kept, None), expected, rtol=1e-6)
+    path = png(tmp_path / "a.png")
+    np.testing.assert_allclose(textures.read_color(path, None), SRGB, rtol=1e-6)
+    np.testing.assert_allclose(textures.read_color(path, "linear"), SHARES, rtol=1e-6)
+    openexr.write(tmp_path / "a.exr", SHARES.astype(np.float32))
+    np.testing.assert_array_equal(textures.read_color(tmp_path / "a.exr", None), SHARES.astype(np.float32))
+    np.testing.assert_allclose(textures.read_color(tmp_path / "a.exr", "sRGB"), SRGB, rtol=1e-5)
+    np.testing.assert_array_equal(
+        scene_of(tmp_path, '{ file = "a.png", encoding = "linear" }').objects[0].material.color.texels,
+        SHARES.astype(np.float32),
+    )  # type: ignore[union-attr]
+
+
+def test_a_gamma_of_png_is_heeded(tmp_path: Path):
+    """1 is linear, 1 / 2.2 is what programs write for sRGB; of another one only the scene can say what it means."""
+
+    def of_gamma(gamma: int) -> Path:
+        chunks = PIL.PngImagePlugin.PngInfo()
+        chunks.add(b"gAMA", gamma.to_bytes(4, "big"))
+        return png(tmp_path / f"{gamma}.png", pnginfo=chunks)
+
+    np.testing.assert_allclose(textures.read_color(of_gamma(100_000), None), SHARES, rtol=1e-6)
+    np.testing.assert_allclose(textures.read_color(of_gamma(45_455), None), SRGB, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"its gamma is 0.5: allowed is to say the encoding"):
+        textures.read_color(of_gamma(50_000), None)
+    np.testing.assert_allclose(textures.read_color(of_gamma(50_000), "sRGB"), SRGB, rtol=1e-6)
+
+
+def test_grey_palettes_and_sixteen_bits(tmp_path: Path):
+    """All of what a PNG can be is itself, or is refused: Pillow would cut colours of 16 bits to 8."""
+    grey = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
+    path = png(tmp_path / "wide.png", grey)
+    np.testing.assert_allclose(textures.read_color(path, "linear")[..., 1], grey / 65535, rtol=1e-6)
+    PIL.Image.fromarray(BYTES).quantize(16).save(tmp_path / "palette.png")
+    np.testing.assert_allclose(
+        textures.read_color(tmp_path / "palette.png", "linear") * 255,
+        np.asarray(PIL.Image.open(tmp_path / "palette.png").convert("RGB")),
+        rtol=1e-6,
+    )
+    header = (2).to_bytes(4, "big") * 2 + bytes([16, 2, 0, 0, 0])  # 2 x 2, 16 bits, RGB
+    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(2 * bytes(13))), (b"IEND", b"")
+    deep = [
+        len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big") for kind, data in chunks
+    ]
+    (tmp_path / "deep.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(deep))
+    PIL.Image.new("RGBA", (2, 2), (9, 9, 9, 100)).save(tmp_path / "clear.png")
+    PIL.Image.new("CMYK", (2, 2)).save(tmp_path / "ink.jpg")
+    for file, reason in (("deep.png", "16 bits"), ("clear.png", "transparent texels"), ("ink.jpg", "holds CMYK")):
+        with pytest.raises(ValueError, match=reason):
+            textures.read_color(tmp_path / file, None)
+    PIL.Image.new("RGBA", (2, 2), (255, 255, 255, 255)).save(tmp_path / "solid.png")
+    assert (textures.read_color(tmp_path / "solid.png", None) == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("color", "message"),
+    [
+        ('{ file = "none.png" }', r"objects: 'floor': color = 'none.png': no such file in "),
+        ('{ file = "cut.png" }', r"objects: 'floor': color = 'cut.png': cannot be read: image file is truncated"),
+        ('{ file = "scene.toml" }', r"color = 'scene.toml': is no image of a kind .* allowed are PNG, JPEG, OpenEXR"),
+        (
+            '{ file = "nan.npy" }',
+            r"color = 'nan.npy': texel \[0.5, nan, 0.5\] in row 1, column 0: allowed is a number in",
+        ),
+        ('{ file = "bright.npy" }', r"color = 'bright.npy': texel \[1.5, .* in row 0, column 1: .* \[0, 1\]"),
+        ('{ file = "two.npy" }', r"color = 'two.npy': shape \(2, 2, 2\): allowed are"),
+        ('{ file = "a.png", wrap = "mirror" }', r"objects\[0\].color.wrap = 'mirror': allowed is 'repeat' or 'clamp'"),
+        ('{ file = "a.png", encoding = "gamma" }', r"color.encoding = 'gamma': allowed is 'sRGB' or 'linear'"),
+        ('{ image = "a.png" }', r"objects\[0\].color.image = 'a.png': unknown key: allowed are encoding, file, wrap"),
+        ('"a.png"', r"objects\[0\].color = 'a.png': allowed is a list of 3, or a table with the file of an"),
+    ],
+)
+def test_what_is_wrong_is_one_line(tmp_path: Path, color: str, message: str):
+    png(tmp_path / "a.png")
+    (tmp_path / "cut.png").write_bytes((tmp_path / "a.png").read_bytes()[:60])
+    values = np.full((2, 2, 3), 0.5, np.float32)
+    np.save(tmp_path / "two.npy", values[..., :2])
+    values[0, 1, 0] = 1.5
+    np.save(tmp_path / "bright.npy", values)
+    values[0, 1, 0], values[1, 0, 1] = 0.5, np.nan
+    np.save(tmp_path / "nan.npy", values)
+    with pytest.raises(FileError, match=message) as found:
+        scene_of(tmp_path, color)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize("shape", ["box", "sphere"])
+def test_a_shape_without_uv_is_refused(tmp_path: Path, shape: str):
+    png(tmp_path / "a.png")
+    with pytest.raises(
+        FileError, match=r"objects: 'floor': color: is an image, and nothing says .* allowed are a rect"
+    ):
+        scene_of(tmp_path, '{ file = "a.png" }', PLACES[shape])
+
+
+def test_textures_are_checked_where_they_are_made():
+    for wrong, message in ((np.zeros((2, 2, 2)), r"shape \(2, 2, 2\)"), (np.zeros((0, 2, 3)), "shape"), (1.0, "shape")):
+        with pytest.raises(ValueError, match=message):
+            Texture(wrong)
+    with pytest.raises(ValueError, match="wrap = 'mirror': allowed are 'repeat' and 'clamp'"):
+        Texture(SHARES, "mirror")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="color = .*: allowed is a texture of 3 channels"):
+        Material(color=Texture(SHARES[..., 0]))
+    square = textured().objects[0]
+    for uv, message in ((np.zeros((3, 2)), r"uv \(3, 2\)"), (np.full((4, 2), np.inf), "uv of corner 0 of face 0")):
+        with pytest.raises(ValueError, match=message):
+            Mesh.from_arrays(square.mesh.vertices, square.mesh.faces, uv=uv)
+    with pytest.raises(ValueError, match="'floor': color: is an image, and nothing says"):
+        attrs.evolve(square, mesh=attrs.evolve(square.mesh, uv=None))
+    assert Object("lamp", attrs.evolve(square.mesh, uv=None), square.material, (1.0, 1.0, 1.0)).emits  # black, whatever
+
+
+def test_the_smallest_and_the_largest_of_an_image_bound_it():
+    """Has the term means any texel has: a term is absent only where all texels are black."""
+    texels = np.zeros((4, 4, 3), np.float32)
+    scene = textured(texels)
+    assert not TABLE["direct"].has(scene, scene.objects[0].surface)
+    texels[3, 1] = 0.0, 0.25, 0.0
+    scene = textured(texels)
+    assert largest(scene.objects[0].material.color) == (0.0, 0.25, 0.0)
+    assert scene.diffuse_weight(scene.objects[0].surface) == (0.0, 0.25, 0.0)
+    assert TABLE["direct"].has(scene, scene.objects[0].surface)
+
+
+# Meshes.
+
+SQUARE = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], float)
+LIES = np.array([(0.25, 0.125), (1.5, 0.25), (1.0, 0.875), (0.0, 0.75)])
+
+
+def write_obj(path: Path, lines: str = "f 1/1 2/2 3/3 4/4\n") -> None:
+    rows = [f"v {x} {y} {z}\n" for x, y, z in SQUARE] + [f"vt {u} {v}\n" for u, v in LIES]
+    path.write_text("".join(rows) + lines)
+
+
+def write_ply(path: Path, names: tuple[str, str]) -> None:
+    head = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(
+        f"property float {n}\n" for n in ("x", "y", "z", *names)
+    )
+    rows = "".join(" ".join(map(str, row)) + "\n" for row in np.hstack([SQUARE, LIES]))
+    path.write_text(f"{head}element face 1\nproperty list uchar int vertex_indices\nend_header\n{rows}4 0 1 2 3\n")
+
+
+def write_texcoord(path: Path) -> None:
+    head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    head += "element face 1\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n"
+    rows = "".join(" ".join(map(str, row)) + "\n" for row in SQUARE)
+    path.write_text(f"{head}{rows}4 0 1 2 3 8 {' '.join(map(str, LIES.ravel()))}\n")
+
+
+def write_glb(path: Path, *, mapped: bool = True) -> None:
+    """By hand: glTF's v goes down."""
+    points, places = SQUARE.astype("<f4").tobytes(), (LIES * (1, -1) + (0, 1)).astype("<f4").tobytes()
+    indices = np.array([0, 1, 2, 0, 2, 3], "<u4").tobytes()
+    data = points + places + indices
+    ends = np.cumsum([0, len(points), len(places), len(indices)]).tolist()
+    views = [{"buffer": 0, "byteOffset": a, "byteLength": b - a} for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    kinds = [(5126, 4, "VEC3"), (5126, 4, "VEC2"), (5125, 6, "SCALAR")]
+    accessors = [{"bufferView": i, "componentType": c, "count": n, "type": t} for i, (c, n, t) in enumerate(kinds)]
+    attributes = {"POSITION": 0} | ({"TEXCOORD_0": 1} if mapped else {})
+    described = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 2}]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(data)}],
+    }
+    text = json.dumps(described).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = b"".join(len(c).to_bytes(4, "little") + k + c for k, c in ((b"JSON", text), (b"BIN\0", data)))
+    path.write_bytes(b"glTF" + (2).to_bytes(4, "little") + (12 + len(chunks)).to_bytes(4, "little") + chunks)
+
+
+WRITERS = {
+    "a.obj": write_obj,
+    "a.glb": write_glb,
+    "uv.ply": lambda path: write_ply(path, ("u", "v")),
+    "st.ply": lambda path: write_ply(path, ("s", "t")),
+    "texture.ply": lambda path: write_ply(path, ("texture_u", "texture_v")),
+    "texcoord.ply": write_texcoord,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_one_quad_lies_alike_whatever_file_holds_it(tmp_path: Path, name: str):
+    path = tmp_path / name
+    WRITERS[name](path)
+    vertices, faces, uv = meshes.read_mapped(path)
+    assert uv is not None
+    plain = meshes.read(path)
+    np.testing.assert_array_equal(plain[1], faces)
+    for point, place in zip(vertices[faces].reshape(-1, 3), uv.reshape(-1, 2), strict=True):
+        np.testing.assert_allclose(place, LIES[(point == SQUARE).all(axis=1).argmax()], atol=1e-7)
+    png(tmp_path / "a.png")
+    found = scene_of(tmp_path, '{ file = "a.png" }', f'shape = "mesh"\nfile = "{name}"\n').objects[0].mesh.uv
+    np.testing.assert_allclose(found, uv, atol=1e-7)
+
+
+def test_uv_that_is_not_there_or_not_whole(tmp_path: Path):
+    """Without an image nothing of it is read, as before; with one, some corners without a place are refused."""
+    write_obj(tmp_path / "some.obj", "f 1/1 2/2 3/3\nf 1 3 4\n")
+    write_obj(tmp_path / "none.obj", "f 1 2 3\n")
+    write_obj(tmp_path / "wild.obj", "f 1/1 2/2 3/9\n")
+    write_glb(tmp_path / "none.glb", mapped=False)
+    for name in ("some.obj", "wild.obj", "none.glb", "none.obj"):
+        assert len(meshes.read(tmp_path / name)[1])
+    assert meshes.read_mapped(tmp_path / "none.obj")[2] is None
+    assert meshes.read_mapped(tmp_path / "none.glb")[2] is None
+    with pytest.raises(meshes.MeshError, match="corners without vt beside others"):
+        meshes.read_mapped(tmp_path / "some.obj")
+    with pytest.raises(meshes.MeshError, match="line 9: index 9: allowed are 1 to 4"):
+        meshes.read_mapped(tmp_path / "wild.obj")
+
+
+def test_a_concave_polygon_keeps_the_places_of_its_corners(tmp_path: Path):
+    """Ears are cut in another order than the corners'; u and v are those of x and y throughout."""
+    outline = [(0, 0), (4, 0), (4, 3), (2, 1), (0, 3)]
+    rows = "".join(f"v {x} {y} 0\nvt {x / 4} {y / 4}\n" for x, y in outline)
+    (tmp_path / "a.obj").write_text(rows + "f 1/1 2/2 3/3 4/4 5/5\n")
+    vertices, faces, uv = meshes.read_mapped(tmp_path / "a.obj")
+    assert uv is not None
+    assert len(faces) == 3
+    np.testing.assert_allclose(uv, vertices[faces][..., :2] / 4)
+
+
+# Faces in one plane.
+
+
+def test_coincident_faces_of_one_image_count_once_where_it_lies_alike():
+    scene = textured()
+    floor = scene.objects[0]
+    again = attrs.evolve(floor, name="again")
+    assert [thing.name for thing in attrs.evolve(scene, objects=(floor, again)).objects] == ["floor"]
+    assert floor.mesh.uv is not None
+    moved = attrs.evolve(again, mesh=attrs.evolve(again.mesh, uv=floor.mesh.uv + 0.5))
+    with pytest.raises(ValueError, match="'floor' and 'again' lie .* differ in where their image lies"):
+        attrs.evolve(scene, objects=(floor, moved))
+    other = attrs.evolve(again, material=Material(Texture(SHARES)))
+    with pytest.raises(ValueError, match="differ in material"):
+        attrs.evolve(scene, objects=(floor, other))
+
+
+# Keys.
+
+
+def test_keys_see_texels_and_places():
+    """Another texel, wrap or uv is another image of each term that sees it; equal content is the same key."""
+    scene = textured(lights=load("monkey").lights)
+    floor = scene.objects[0]
+    assert floor.mesh.uv is not None
+    texels = np.array(SRGB)
+    texels[1, 2, 0] = 1.0 - texels[1, 2, 0]
+    others = (
+        attrs.evolve(floor, material=Material(Texture(texels))),
+        attrs.evolve(floor, material=Material(Texture(SRGB, "clamp"))),
+        attrs.evolve(floor, mesh=attrs.evolve(floor.mesh, uv=floor.mesh.uv * 0.5)),
+    )
+
+    def keys(thing: Object) -> dict[str, str]:
+        changed = attrs.evolve(scene, objects=(thing, scene.objects[1]))
+        found = {
+            term: cells.content(changed, VARIANTS[term][name], chain="next-event") for term, name in DEFAULTS.items()
+        }
+        return found | {"digest": changed.digest(), "loaded": reads.digest(changed, without=reads.UNREAD)}
+
+    before, same = keys(floor), keys(attrs.evolve(floor, material=Material(Texture(SRGB.copy()))))
+    assert before == same
+    for other in others:
+        after = keys(other)
+        for name in ("ambient", "direct", "specular", "digest", "loaded"):
+            assert after[name] != before[name]
+    assert keys(others[0])["background"] == before["background"]
+
+
+# Files that are written.
+
+
+def test_a_saved_scene_has_its_images(tmp_path: Path):
+    """The rectangle stays one, and a mesh keeps a place for each corner of a face, whatever its neighbours have."""
+    scene = textured(resolution=(4, 4))
+    floor = scene.objects[0]
+    fan = Mesh.from_arrays(
+        np.random.default_rng(2).normal(size=(5, 3)) + (0, 0, -3),
+        [[0, 1, 2], [0, 2, 3], [0, 3, 4]],
+        uv=np.random.default_rng(3).normal(size=(3, 3, 2)),
+    )
+    unread = attrs.evolve(scene.objects[1], mesh=attrs.evolve(scene.objects[1].mesh, uv=floor.mesh.uv))
+    things = (floor, unread, Object("fan", fan, Material(Texture(SHARES, "clamp"), 0.5)))
+    scene = attrs.evolve(scene, objects=things)
+    save(scene, tmp_path / "kept.toml")
+    found = load(tmp_path / "kept.toml")
+    assert (tmp_path / "kept.toml").read_text().count('shape = "rectangle"') == 2
+    assert [each.material for each in found.objects] == [each.material for each in scene.objects]
+    np.testing.assert_array_equal(found.objects[2].mesh.uv, fan.uv)
+    assert found.objects[1].mesh.uv is None  # nothing reads it
+
+
+def test_exports_say_images_or_refuse_them(tmp_path: Path):
+    scene = textured([[[0.25, 0.5, 1.0]]])  # of one texel
+    path = neutral.write_neutral(scene, tmp_path)
+    described = json.loads(path.read_text())
+    jsonschema.validate(described, json.loads(neutral.SCHEMA.read_text()))
+    assert described["version"] == 2
+    color = described["objects"][0]["material"]["color"]
+    np.testing.assert_array_equal(openexr.read(tmp_path / color["image"], None)[0].pixels, [[[0.25, 0.5, 1.0]]])
+    np.testing.assert_array_equal(described["objects"][0]["uv"], scene.objects[0].mesh.uv)
+    assert "uv" not in described["objects"][1]
+    mitsuba.write(scene, tmp_path / "squares.xml")
+    (bitmap,) = ElementTree.parse(tmp_path / "squares.xml").getroot().iter("texture")
+    values = {value.get("name"): value.get("value") for value in bitmap}
+    assert values["raw"] == "true"
+    assert values["wrap_mode"] == "repeat"
+    assert openexr.read(tmp_path / str(values["filename"]), None)[0].pixels.shape == (2, 2, 3)
+    for module in (gltf, obj, pbrt):
+        with pytest.raises(ValueError, match="objects: 'floor': color: is an image, and .* is written without"):
+            module.write(scene, tmp_path / f"squares{module.SUFFIX}")
+    plain = attrs.evolve(scene, objects=scene.objects[1:])
+    assert neutral.describe(plain)["version"] == 1
+    assert asked.total(scene).absent == "it has images on its surfaces, which engines are not asked for"
