@@ -13,6 +13,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from .share import number
+
 TINY = 1e-20  # keeps divisions defined in lanes that are masked out afterwards
 
 
@@ -27,24 +29,26 @@ class CookTorrance(mi.BSDF):
     """One lobe; sampled by visible normals (Heitz and d'Eon, EGSR 2014), which leaves the weight `k F G1(wo)`."""
 
     def __init__(self, props: Any) -> None:
-        """Read `alpha`, `f0` (three numbers) and the factor k (`factor`), which may exceed 1."""
+        """Read `alpha` and the factor k (`factor`), which may exceed 1, a texture or a number; `f0`, three numbers."""
         mi.BSDF.__init__(self, props)
+        self._alpha = number(props["alpha"])
         # Opaque, so that one compiled kernel serves all materials and scenes.
-        self._alpha = dr.opaque(mi.Float, props["alpha"])
         self._f0 = dr.opaque(mi.Color3f, list(props["f0"]))
-        self._factor = dr.opaque(mi.Float, props["factor"])
+        self._factor = number(props["factor"])
         self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
         self.m_flags = self.m_components[0]
 
-    def _distribution(self) -> Any:
-        return mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, self._alpha, True)
+    @staticmethod
+    def _distribution(alpha: Any) -> Any:
+        return mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, alpha, True)
 
     def _fresnel(self, cosine: Any) -> Any:
         return self._f0 + (1.0 - self._f0) * dr.power(dr.maximum(1.0 - cosine, 0.0), 5)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         """Reflect about a visible normal; the weight is `f mu_o / pdf`."""
-        wh, _ = self._distribution().sample(si.wi, sample2)
+        alpha = self._alpha(si, active)
+        wh, _ = self._distribution(alpha).sample(si.wi, sample2)
         bs = mi.BSDFSample3f()
         bs.wo = mi.reflect(si.wi, wh)
         bs.eta = 1.0
@@ -52,7 +56,7 @@ class CookTorrance(mi.BSDF):
         bs.sampled_component = 0
         bs.pdf = self.pdf(ctx, si, bs.wo, active)
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (mi.Frame3f.cos_theta(bs.wo) > 0.0) & (bs.pdf > 0.0)
-        weight = self._factor * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(bs.wo, self._alpha)
+        weight = self._factor(si, active) * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(bs.wo, alpha)
         return bs, dr.select(active, weight, 0.0)
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
@@ -68,17 +72,18 @@ class CookTorrance(mi.BSDF):
         mu_i, mu_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
         active = active & (mu_i > 0.0) & (mu_o > 0.0)
         wh = dr.normalize(si.wi + wo)
-        pdf = self._distribution().eval(wh) * smith_g1(si.wi, self._alpha) / (4.0 * dr.maximum(mu_i, TINY))
-        value = self._factor * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(wo, self._alpha) * pdf
+        alpha = self._alpha(si, active)
+        pdf = self._distribution(alpha).eval(wh) * smith_g1(si.wi, alpha) / (4.0 * dr.maximum(mu_i, TINY))
+        value = self._factor(si, active) * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(wo, alpha) * pdf
         return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
 
     def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
         """The factor k: albedo of the Lambertian lobe that a limit may put beside this one, in units of its own."""
-        return mi.Color3f(self._factor)
+        return mi.Color3f(self._factor(si, active))
 
     def to_string(self) -> str:
-        """Name the plugin with its parameters."""
-        return f"CookTorrance[alpha={self._alpha}, f0={self._f0}, factor={self._factor}]"
+        """Name the plugin."""
+        return f"CookTorrance[f0={self._f0}]"
 
 
 def register() -> None:

@@ -1,4 +1,4 @@
-"""`color (1 - gloss)` of a surface whose colour is an image: the texture `share`."""
+"""`color (1 - gloss)` of a surface where one of the two is an image, or both: the texture `share`."""
 
 # pyright: reportCallIssue=false
 # Mitsuba's stubs do not know the types of the variant in use.
@@ -9,19 +9,27 @@ import drjit as dr
 import mitsuba as mi
 
 
+def number(value: Any) -> Any:
+    """(si, active) -> mi.Float, by a property that is a texture or a number."""
+    if isinstance(value, mi.Texture):
+        return value.eval_1
+    # Opaque, so that one compiled kernel serves all materials and scenes.
+    constant = dr.opaque(mi.Float, value)
+    return lambda si, active: constant
+
+
 class Share(mi.Texture):
-    """What another texture says, times one minus a number."""
+    """What one texture says, times one minus what another says."""
 
     def __init__(self, props: Any) -> None:
-        """Read the texture `of` and the number `less`."""
+        """Read the texture `of`, and `less`, a texture or a number."""
         mi.Texture.__init__(self, props)
         self._of = props["of"]
-        # Opaque, so that one compiled kernel serves all materials and scenes.
-        self._share = dr.opaque(mi.Float, 1.0 - props["less"])
+        self._less = number(props["less"])
 
     def eval(self, si: Any, active: Any = True) -> Any:
         """Colour at a point of a surface."""
-        return self._of.eval(si, active) * self._share
+        return self._of.eval(si, active) * (1.0 - self._less(si, active))
 
     def is_spatially_varying(self) -> bool:
         """Report that it depends on uv."""

@@ -292,34 +292,42 @@ def _bsdf(scene: Scene, material: Material, role: Role) -> dict[str, Any]:
     if role == "color":
         return {"type": "diffuse", "reflectance": _color(material.color)}
     gloss = scene.specular_weight(material)
-    lobe = {"type": "cook_torrance", "alpha": material.roughness, "f0": list(material.f0), "factor": gloss}
+    alpha, factor = _number(material.roughness), _number(material.gloss if scene.toggles.reflections else 0.0)
+    lobe = {"type": "cook_torrance", "alpha": alpha, "f0": list(material.f0), "factor": factor}
     if role == "specular":
         return lobe if gloss > 0 else BLACK_BSDF
     if role in ("diffuse", "ambient", "direct") or gloss == 0:
         return {"type": "diffuse", "reflectance": _diffuse_part(scene, material)}
     diffuse = {"type": "diffuse", "reflectance": _color(material.color)}
-    return {"type": "blendbsdf", "weight": gloss, "first": diffuse, "second": lobe | {"factor": 1.0}}
+    return {"type": "blendbsdf", "weight": factor, "first": diffuse, "second": lobe | {"factor": 1.0}}
 
 
-def _color(color: Color | Texture) -> dict[str, Any]:
-    """A colour, or Mitsuba's own lookup of its image; see `prepare` for its file."""
-    if not isinstance(color, Texture):
-        return _rgb(color)
+def _color(value: Color | Texture) -> dict[str, Any]:
+    return _image(value) if isinstance(value, Texture) else _rgb(value)
+
+
+def _number(value: float | Texture) -> float | dict[str, Any]:
+    return _image(value) if isinstance(value, Texture) else value
+
+
+def _image(image: Texture) -> dict[str, Any]:
+    """Mitsuba's own lookup of an image; see `prepare` for its file."""
     return {
         "type": "bitmap",
-        "texture": _image_file(color),
+        "texture": _image_file(image),
         "raw": True,
         "filter_type": "bilinear",
-        "wrap_mode": color.wrap,
+        "wrap_mode": image.wrap,
         "accel": False,  # a GPU would interpolate with 8-bit weights
     }
 
 
 def _diffuse_part(scene: Scene, material: Material) -> dict[str, Any]:
     """`color (1 - gloss)`."""
-    if not material.textures:
+    if not {"color", "gloss"} & {*material.textures}:
         return _rgb(scene.diffuse_weight(material))
-    return {"type": "share", "of": _color(material.color), "less": scene.specular_weight(material)}
+    less = _number(material.gloss) if scene.toggles.reflections else 0.0
+    return {"type": "share", "of": _color(material.color), "less": less}
 
 
 def _face(thing: Object) -> dict[str, Any]:

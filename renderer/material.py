@@ -14,7 +14,7 @@ import numpy as np
 
 from termwise.renderer import textures
 from termwise.renderer.jit import device
-from termwise.renderer.textures import Textures, color_at
+from termwise.renderer.textures import Textures, color_at, number_at
 from termwise.renderer.unoccluded import open_sides
 from termwise.renderer.vector import Vec3, is_black, scale, vec3
 from termwise.scenes.model import Scene, largest
@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # they hold what is defined here
 class Materials(NamedTuple):
     """What surfaces of each object do to light, the spheres' behind the others; emitters are black.
 
-    Where an image stands in the place of a colour it is the largest of its texels.
+    Where an image stands in the place of a colour or a number it is the largest of its texels, and `diffuse` a bound.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ def from_scene(scene: Scene, without: Collection[str]) -> Materials:
         np.array([largest(surface.color) for surface in surfaces]).reshape(-1, 3),
         np.array([scene.diffuse_weight(surface) for surface in surfaces]).reshape(-1, 3),
         np.array([scene.specular_weight(surface) for surface in surfaces]).reshape(-1),
-        np.array([surface.roughness for surface in surfaces]).reshape(-1),
+        np.array([largest(surface.roughness) for surface in surfaces]).reshape(-1),
         np.array([surface.f0 for surface in surfaces]).reshape(-1, 3),
         np.array([each if lit else (0.0, 0.0, 0.0) for each in emission]).reshape(-1, 3),
         _open(scene, without),
@@ -97,8 +97,8 @@ def diffuse_weight(scene: SceneArrays, surface: Surface) -> Vec3:
 
 @device
 def _diffuse(materials: Materials, images: Textures | None, surface: Surface) -> Vec3:
-    if images is not None and images.color[surface.object] >= 0:
-        return scale(_color(materials, images, surface), 1.0 - materials.specular[surface.object])
+    if images is not None and (images.color[surface.object] >= 0 or images.gloss[surface.object] >= 0):
+        return scale(_color(materials, images, surface), 1.0 - _gloss(materials, images, surface))
     return vec3(materials.diffuse, surface.object)
 
 
@@ -114,13 +114,27 @@ def holds_photons(scene: SceneArrays, surface: Surface) -> bool:
 @device
 def specular_weight(scene: SceneArrays, surface: Surface) -> float:
     """Weight of the Cook-Torrance lobe."""
-    return scene.materials.specular[surface.object]
+    return _gloss(scene.materials, scene.materials.textures, surface)
+
+
+@device
+def _gloss(materials: Materials, images: Textures | None, surface: Surface) -> float:
+    if images is not None and images.gloss[surface.object] >= 0:
+        return number_at(images, images.gloss[surface.object], surface.face, surface.b1, surface.b2)
+    return materials.specular[surface.object]
 
 
 @device
 def lobe_alpha(scene: SceneArrays, surface: Surface) -> float:
     """Beckmann roughness of the lobe."""
-    return scene.materials.alpha[surface.object]
+    return _alpha(scene.materials, scene.materials.textures, surface)
+
+
+@device
+def _alpha(materials: Materials, images: Textures | None, surface: Surface) -> float:
+    if images is not None and images.roughness[surface.object] >= 0:
+        return number_at(images, images.roughness[surface.object], surface.face, surface.b1, surface.b2)
+    return materials.alpha[surface.object]
 
 
 @device

@@ -22,7 +22,7 @@ class Textures(NamedTuple):
     Attributes
     ----------
     uv : (F, 3, 2), place of each face's corners in an image; 0 of what has none.
-    color : (O,) int32, which image is an object's colour; -1: none.
+    color, gloss, roughness : (O,) int32, which image an object has there; -1: none.
     first : (T,) int64, where an image begins among the texels.
     width, height : (T,) int64.
     repeats : (T,) bool; else the border goes on.
@@ -31,6 +31,8 @@ class Textures(NamedTuple):
 
     uv: np.ndarray
     color: np.ndarray
+    gloss: np.ndarray
+    roughness: np.ndarray
     first: np.ndarray
     width: np.ndarray
     height: np.ndarray
@@ -47,7 +49,9 @@ def from_scene(scene: Scene) -> Textures | None:
     sizes = [image.texels.size for image in images]
     return Textures(
         np.concatenate([np.zeros((len(mesh.faces), 3, 2)) if mesh.uv is None else mesh.uv for mesh in meshes]),
-        np.array([_number(images, surface.color) for surface in scene.surfaces], np.int32),
+        _numbers(images, [surface.color for surface in scene.surfaces]),
+        _numbers(images, [surface.gloss if scene.toggles.reflections else 0.0 for surface in scene.surfaces]),
+        _numbers(images, [surface.roughness for surface in scene.surfaces]),
         np.cumsum([0, *sizes[:-1]]),
         np.array([image.texels.shape[1] for image in images]),
         np.array([image.texels.shape[0] for image in images]),
@@ -56,8 +60,8 @@ def from_scene(scene: Scene) -> Textures | None:
     )
 
 
-def _number(images: list[Texture], value: object) -> int:
-    return images.index(value) if isinstance(value, Texture) else -1
+def _numbers(images: list[Texture], values: list[object]) -> np.ndarray:
+    return np.array([images.index(value) if isinstance(value, Texture) else -1 for value in values], np.int32)
 
 
 @device
@@ -85,21 +89,54 @@ def _place(images: Textures, face: int, b1: float, b2: float) -> tuple[float, fl
     )
 
 
+class _Corners(NamedTuple):
+    """The four texels around a place, by their number in the image, and their weights."""
+
+    top_left: int
+    top_right: int
+    bottom_left: int
+    bottom_right: int
+    a: float
+    b: float
+    c: float
+    d: float
+
+
 @device
-def color_at(images: Textures, image: int, face: int, b1: float, b2: float) -> Vec3:
-    """Colour of an image at a point of a face."""
+def _corners(images: Textures, image: int, face: int, b1: float, b2: float) -> _Corners:
     u, v = _place(images, face, b1, b2)
     width, repeats = images.width[image], images.repeats[image]
     left, right, across = _along(u, width, repeats)
     top, bottom, down = _along(1.0 - v, images.height[image], repeats)
-    a, b = (1.0 - across) * (1.0 - down), across * (1.0 - down)
-    c, d = (1.0 - across) * down, across * down
-    first = images.first[image]
-    top_left, top_right = first + 3 * (top * width + left), first + 3 * (top * width + right)
-    bottom_left, bottom_right = first + 3 * (bottom * width + left), first + 3 * (bottom * width + right)
-    t = images.texels
-    return Vec3(
-        a * t[top_left] + b * t[top_right] + c * t[bottom_left] + d * t[bottom_right],
-        a * t[top_left + 1] + b * t[top_right + 1] + c * t[bottom_left + 1] + d * t[bottom_right + 1],
-        a * t[top_left + 2] + b * t[top_right + 2] + c * t[bottom_left + 2] + d * t[bottom_right + 2],
+    return _Corners(
+        top * width + left,
+        top * width + right,
+        bottom * width + left,
+        bottom * width + right,
+        (1.0 - across) * (1.0 - down),
+        across * (1.0 - down),
+        (1.0 - across) * down,
+        across * down,
     )
+
+
+@device
+def number_at(images: Textures, image: int, face: int, b1: float, b2: float) -> float:
+    """Number of an image of one channel at a point of a face."""
+    at, first, t = _corners(images, image, face, b1, b2), images.first[image], images.texels
+    upper = at.a * t[first + at.top_left] + at.b * t[first + at.top_right]
+    return upper + at.c * t[first + at.bottom_left] + at.d * t[first + at.bottom_right]
+
+
+@device
+def _channel(images: Textures, image: int, at: _Corners, channel: int) -> float:
+    first, t = images.first[image] + channel, images.texels
+    upper = at.a * t[first + 3 * at.top_left] + at.b * t[first + 3 * at.top_right]
+    return upper + at.c * t[first + 3 * at.bottom_left] + at.d * t[first + 3 * at.bottom_right]
+
+
+@device
+def color_at(images: Textures, image: int, face: int, b1: float, b2: float) -> Vec3:
+    """Colour of an image of three channels at a point of a face."""
+    at = _corners(images, image, face, b1, b2)
+    return Vec3(_channel(images, image, at, 0), _channel(images, image, at, 1), _channel(images, image, at, 2))

@@ -10,7 +10,7 @@ Errors are one line: file, field, value, and what is allowed.
 import importlib
 import math
 from pathlib import Path
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal, cast, get_args
 
 import attrs
 import numpy as np
@@ -86,11 +86,12 @@ def _foreign(path: Path, approximate: bool) -> model.Scene:
 
 @attrs.frozen(kw_only=True)
 class _Image:
-    """An image in the place of a colour."""
+    """An image in the place of a colour or, of its one `channel`, of a number."""
 
     file: str
     wrap: textures.Wrap = "repeat"
     encoding: textures.Encoding | None = None
+    channel: textures.Channel | None = None
 
     def read(self, folder: Path, name: str) -> Texture:
         """The image as the field `name`.
@@ -103,7 +104,14 @@ class _Image:
         try:
             if not path.is_file():
                 raise ValueError(f"no such file in {folder}")
-            texture = Texture(textures.read_color(path, self.encoding), self.wrap)
+            if name == "color" and self.channel is not None:
+                raise ValueError(f"channel = {self.channel!r}: allowed is none, for a colour has all")
+            texels = (
+                textures.read_color(path, self.encoding)
+                if name == "color"
+                else textures.read_number(path, self.encoding, self.channel)
+            )
+            texture = Texture(texels, self.wrap)
             model.Material(**{name: texture})  # where its texels are refused, the file is named
             return texture
         except ValueError as error:
@@ -121,8 +129,8 @@ class _Placed:
     translation: model.Vector = attrs.field(default=(0.0, 0.0, 0.0), validator=model.finite)
     normals: Literal["flat", "smooth"] = "flat"
     color: model.Color | _Image = cast(model.Color, model.Material().color)
-    gloss: float = model.Material().gloss
-    roughness: float = model.Material().roughness
+    gloss: float | _Image = cast(float, model.Material().gloss)
+    roughness: float | _Image = cast(float, model.Material().roughness)
     f0: model.Color = model.Material().f0
     emission: model.Color = attrs.field(default=model.BLACK, validator=model.non_negative)
 
@@ -341,16 +349,16 @@ def _shape(value: Any, _kind: type) -> _Placed:
     return _converter.structure({key: item for key, item in value.items() if key != "shape"}, kind)
 
 
-def _color(value: Any, _kind: Any) -> Any:
+def _or_image(value: Any, kind: Any) -> Any:
     if isinstance(value, dict):
         return _converter.structure(value, _Image)
     try:
-        return _converter.structure(value, model.Color)
+        return _converter.structure(value, get_args(kind)[0])
     except TypeError as error:
         raise TypeError(f"{error}, or a table with the file of an image") from None
 
 
 _converter = strict.converter()
-_converter.register_structure_hook_func(lambda kind: kind == model.Color | _Image, _color)
+_converter.register_structure_hook_func(lambda kind: kind in (model.Color | _Image, float | _Image), _or_image)
 _converter.register_structure_hook_func(lambda kind: kind is _Placed, _shape)
 _converter.register_structure_hook_func(lambda kind: kind == model.Light, _light)

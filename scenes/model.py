@@ -132,23 +132,34 @@ def largest(value: Any) -> Any:
     return value.high if value.channels > 1 else value.high[0]
 
 
+def least(value: Any) -> Any:
+    """As `largest`, at the other end."""
+    if not isinstance(value, Texture):
+        return value
+    return value.low if value.channels > 1 else value.low[0]
+
+
 @attrs.frozen
 class Material:
     """Diffuse `color * (1 - gloss)` under a Cook-Torrance lobe weighted by `gloss`.
 
     Attributes
     ----------
-    color : reflectance in [0, 1] per channel; a number for each, or a `Texture` of 3 channels.
+    color : reflectance in [0, 1] per channel.
     gloss : the paper's share g of reflected light, in [0, 1].
     roughness : Beckmann alpha, in [1e-4, 1.5].
     f0 : Schlick's reflectance at normal incidence, in [0, 1] per channel.
+
+    Color, gloss and roughness may be a `Texture`, of 3 channels, 1 and 1.
     """
 
     color: Color | Texture = attrs.field(
         converter=_or_texture(_triple, 3), default=(0.8, 0.8, 0.8), validator=unit_interval
     )
-    gloss: float = attrs.field(converter=_number, default=0.0, validator=unit_interval)
-    roughness: float = attrs.field(converter=_number, default=0.5, validator=in_range(1e-4, 1.5))
+    gloss: float | Texture = attrs.field(converter=_or_texture(_number, 1), default=0.0, validator=unit_interval)
+    roughness: float | Texture = attrs.field(
+        converter=_or_texture(_number, 1), default=0.5, validator=in_range(1e-4, 1.5)
+    )
     f0: Color = attrs.field(converter=_triple, default=(0.04, 0.04, 0.04), validator=unit_interval)
 
     @property
@@ -693,13 +704,13 @@ class Scene:
 
         Of an image the largest that any texel has: `renderer.material` and `reference.translate` look it up.
         """
-        share = 1.0 - material.gloss if self.toggles.reflections else 1.0
+        share = 1.0 - least(material.gloss) if self.toggles.reflections else 1.0
         red, green, blue = largest(material.color)
         return red * share, green * share, blue * share
 
     def specular_weight(self, material: Material) -> float:
-        """Gloss; 0 where reflections are off."""
-        return material.gloss if self.toggles.reflections else 0.0
+        """Gloss, of an image the largest; 0 where reflections are off."""
+        return largest(material.gloss) if self.toggles.reflections else 0.0
 
     @property
     def has_lights(self) -> bool:

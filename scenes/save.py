@@ -17,7 +17,7 @@ from termwise.scenes.load import UNIT_SQUARE, load
 from termwise.scenes.meshes import ply
 from termwise.scenes.model import Ambient, Light, Material, Mesh, Object, Photons, PointLight, Scene, Sky, Toggles
 from termwise.scenes.store import write_atomically
-from termwise.scenes.textures import Texture
+from termwise.scenes.textures import Texture, in_color
 
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -114,7 +114,7 @@ def _object(thing: Object, number: int, files: Path) -> dict[str, Any]:
 
 
 def _image(texture: Texture, name: str, files: Path) -> dict[str, Any]:
-    write_atomically(files / name, lambda temporary: openexr.write(temporary, texture.texels))
+    write_atomically(files / name, lambda temporary: openexr.write(temporary, in_color(texture.texels)))
     return {"file": f"{files.name}/{name}"} | ({} if texture.wrap == "repeat" else {"wrap": texture.wrap})
 
 

@@ -78,7 +78,7 @@ def _diffuse(scene: Scene, material: Material) -> Color:
 def _diffuse_part(scene: Scene, material: Material) -> tuple[object, ...]:
     """All that the weight of a surface depends on."""
     weight = scene.diffuse_weight(material)
-    return (weight, material.color, scene.specular_weight(material)) if material.textures else weight
+    return (weight, material.color, material.gloss) if {"color", "gloss"} & {*material.textures} else weight
 
 
 def _ambient(scene: Scene, material: Material) -> Color:

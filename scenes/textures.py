@@ -101,6 +101,11 @@ def of_two_at_least(texels: np.ndarray) -> np.ndarray:
     return texels
 
 
+def in_color(texels: np.ndarray) -> np.ndarray:
+    """Texels (H, W, 3), of numbers as grey."""
+    return np.broadcast_to(texels, (*texels.shape[:2], 3))
+
+
 def downwards(uv: np.ndarray) -> np.ndarray:
     """Places (..., 2) in an image where v goes down from the top row, as Mitsuba and glTF have it; and back."""
     return uv * (1.0, -1.0) + (0.0, 1.0)

@@ -10,9 +10,9 @@ import attrs
 
 from termwise.renderer.terms import VARIANTS
 from termwise.reports.live.state import State, Steps
-from termwise.scenes.model import Ambient, Color, Light, Photons, Scene, Sky
+from termwise.scenes.model import Ambient, Light, Material, Photons, Scene, Sky
 from termwise.scenes.terms import TERMS
-from termwise.scenes.textures import Texture, Wrap
+from termwise.scenes.textures import Wrap
 
 _LENGTH, _RADIANCE, _DEGREES = "scene units", "radiance", "degrees"
 # Units of what lights send, and ends of the sliders of their angles.
@@ -159,19 +159,29 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
             yield (
                 thing.name,
                 [
-                    *_color((*material, "color"), thing.material.color),
-                    Input((*material, "gloss"), "gloss", "g", "", 0.0, 1.0),
-                    Input((*material, "roughness"), "roughness", "", "Beckmann α", 0.01, 1.5),
+                    *_or_image(
+                        thing.material,
+                        (*material, "color"),
+                        _triple((*material, "color"), "color", "", "reflectance", "RGB", high=1.0),
+                    ),
+                    *_or_image(
+                        thing.material, (*material, "gloss"), [Input((*material, "gloss"), "gloss", "g", "", 0.0, 1.0)]
+                    ),
+                    *_or_image(
+                        thing.material,
+                        (*material, "roughness"),
+                        [Input((*material, "roughness"), "roughness", "", "Beckmann α", 0.01, 1.5)],
+                    ),
                     *_triple((*material, "f0"), "F0", "", "reflectance", "RGB", high=1.0),
                 ],
             )
 
 
-def _color(path: Steps, value: Color | Texture) -> list[Input]:
-    """The inputs of a reflectance; an image stays, and may lie otherwise."""
-    if isinstance(value, Texture):
-        return [Input((*path, "wrap"), "color, an image, beyond its border", choices=get_args(Wrap))]
-    return _triple(path, "color", "", "reflectance", "RGB", high=1.0)
+def _or_image(material: Material, path: Steps, plain: list[Input]) -> list[Input]:
+    """The inputs of a field of a material; an image stays, and may go on otherwise."""
+    if path[-1] not in material.textures:
+        return plain
+    return [Input((*path, "wrap"), f"{path[-1]}, an image, beyond its border", choices=get_args(Wrap))]
 
 
 def _light(number: int, light: Light) -> Iterator[Input]:

@@ -20,7 +20,7 @@ from termwise.scenes.images import openexr
 from termwise.scenes.meshes import ply
 from termwise.scenes.model import Scene
 from termwise.scenes.store import write_atomically
-from termwise.scenes.textures import downwards, of_two_at_least
+from termwise.scenes.textures import downwards, in_color, of_two_at_least
 
 SUFFIX = ".xml"
 SAMPLES = 64
@@ -79,7 +79,7 @@ def write_described(
         write_atomically(mesh, functools.partial(_write_mesh, arrays))
         _shape(root, thing, name, files.name, mesh.name)
     for name, image in images_of(scene).items():
-        texels = of_two_at_least(image.texels)
+        texels = of_two_at_least(in_color(image.texels))
         write_atomically(files / name, functools.partial(openexr.write, pixels=texels))
     for number, light in enumerate(described["lights"]):
         _light(root, light, f"light: {number}")
@@ -104,10 +104,10 @@ def write_described(
 def left_out(described: dict[str, Any]) -> list[str]:
     """What plain Mitsuba cannot say of a scene described."""
     found = [
-        f"objects: {thing['name']!r}: gloss = {thing['material']['gloss']!r}: the lobe has the Fresnel reflectance of "
+        f"objects: {thing['name']!r}: gloss = {_gloss(thing['material'])}: the lobe has the Fresnel reflectance of "
         "a dielectric of the same f0, not Schlick's, and a rational approximation of Smith's masking"
         for thing in described["objects"]
-        if thing["material"]["gloss"] > 0.0
+        if thing["material"]["gloss"] != 0.0
     ]
     found += [
         f"lights[{number}]: sun: a directional light without a disc"
@@ -117,6 +117,11 @@ def left_out(described: dict[str, Any]) -> list[str]:
     if described["sky"] is not None and described["sky"]["type"] == "image":
         found.append("sky: resampled as the camera sees it, and infinitely far")
     return found
+
+
+def _gloss(material: dict[str, Any]) -> str:
+    gloss = material["gloss"]
+    return "an image" if isinstance(gloss, dict) else repr(gloss)
 
 
 def _names(described: dict[str, Any]) -> list[str]:
@@ -167,22 +172,29 @@ def _shape(root: ElementTree.Element, thing: dict[str, Any], name: str, folder: 
 
 
 def _bsdf(parent: ElementTree.Element, material: dict[str, Any], folder: str) -> None:
-    if material["gloss"] > 0.0:
+    if material["gloss"] != 0.0:
         parent = _plugin(parent, "bsdf", "blendbsdf")
-        _value(parent, "float", "weight", material["gloss"])
+        _number(parent, "weight", material["gloss"], folder)
     diffuse = _plugin(parent, "bsdf", "diffuse")
     if isinstance(material["color"], dict):
         _image(diffuse, "reflectance", material["color"], folder)
     else:
         _value(diffuse, "rgb", "reflectance", _numbers(material["color"]))
-    if material["gloss"] > 0.0:
+    if material["gloss"] != 0.0:
         # A conductor without absorption is a dielectric seen from outside: f0 = ((n - 1) / (n + 1))².
         roots = [math.sqrt(min(f0, BRIGHT)) for f0 in material["f0"]]
         lobe = _plugin(parent, "bsdf", "roughconductor")
         _value(lobe, "string", "distribution", "beckmann")
-        _value(lobe, "float", "alpha", material["roughness"])
+        _number(lobe, "alpha", material["roughness"], folder)
         _value(lobe, "rgb", "eta", _numbers((1.0 + root) / (1.0 - root) for root in roots))
         _value(lobe, "rgb", "k", _numbers((0.0, 0.0, 0.0)))
+
+
+def _number(parent: ElementTree.Element, name: str, value: float | dict[str, Any], folder: str) -> None:
+    if isinstance(value, dict):
+        _image(parent, name, value, folder)
+    else:
+        _value(parent, "float", name, value)
 
 
 def _image(parent: ElementTree.Element, name: str, image: dict[str, Any], folder: str) -> None:

@@ -28,7 +28,7 @@ from termwise.scenes.model import (
     shines,
 )
 from termwise.scenes.store import write_atomically
-from termwise.scenes.textures import Texture
+from termwise.scenes.textures import Texture, in_color
 
 FORMAT, VERSION, VERSION_OF_IMAGES = "termwise-neutral", 1, 2
 SUFFIX = ".json"
@@ -43,9 +43,9 @@ CONVENTIONS = {
     "normals": "unit shading normals at the vertices, interpolated; null: the face's own",
     "material": "f = (1 - gloss) color / pi + gloss F D G / (4 cos_i cos_o): F = f0 + (1 - f0) (1 - cos)^5, "
     "D Beckmann's with alpha = roughness, G = G1(i) G1(o) Smith's exact",
-    "image": "in the place of a colour of a material: linear, bilinear between centres of texels, of the uv of the "
-    "face's corners: (0, 0) is the lower left corner of the image, v upwards; beyond [0, 1] it repeats, or with "
-    "wrap clamp its border goes on; a sample is the value at one point",
+    "image": "in the place of a colour, or grey of a number, of a material: linear, bilinear between centres of "
+    "texels, of the uv of the face's corners: (0, 0) is the lower left corner of the image, v upwards; beyond [0, 1] "
+    "it repeats, or with wrap clamp its border goes on; a sample is the value at one point",
     "emission": "radiance that leaves the front of the faces; the back of a lamp is black, and neither side reflects",
     "point": "intensity is radiant intensity, radiance x area, per steradian: a surface at distance d that faces the "
     "light has the irradiance intensity / d^2",
@@ -126,7 +126,7 @@ def _said(value: Any) -> Any:
 
 
 def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
-    surface = attrs.evolve(thing.surface, gloss=scene.specular_weight(thing.surface))
+    surface = thing.surface if scene.toggles.reflections else attrs.evolve(thing.surface, gloss=0.0)
     mapped = {"uv": thing.mesh.uv.tolist()} if thing.mesh.uv is not None and surface.textures else {}
     return {
         "name": thing.name,
@@ -227,7 +227,7 @@ def write_neutral(scene: Scene, path: Path) -> Path:
 def write_images(scene: Scene, folder: Path) -> None:
     """Write the images of surfaces, an OpenEXR file each."""
     for name, image in images_of(scene).items():
-        write_atomically(folder / name, functools.partial(openexr.write, pixels=image.texels))
+        write_atomically(folder / name, functools.partial(openexr.write, pixels=in_color(image.texels)))
 
 
 def _text(described: dict[str, Any]) -> str:

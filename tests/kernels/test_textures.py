@@ -12,19 +12,19 @@ import trimesh
 from scipy import ndimage
 
 from termwise.renderer import Engine, find, render
-from termwise.renderer.textures import color_at, from_scene
+from termwise.renderer.textures import color_at, from_scene, number_at
 from termwise.scenes.analytic import plate
 from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Texture, Toggles
 
 MODES = {"repeat": "grid-wrap", "clamp": "nearest"}
 
 
-def texels(height: int, width: int, seed: int = 1) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(0.05, 0.95, (height, width, 3)).astype(np.float32)
+def texels(height: int, width: int, seed: int = 1, channels: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.05, 0.95, (height, width, channels)).astype(np.float32)
 
 
 def looked_up(image: Texture, uv: np.ndarray) -> np.ndarray:
-    """By SciPy: (N, 3) of places (N, 2)."""
+    """By SciPy: (N, C) of places (N, 2)."""
     height, width, _ = image.texels.shape
     at = (1.0 - uv[:, 1]) * height - 0.5, uv[:, 0] * width - 0.5
     planes = np.moveaxis(image.texels.astype(np.float64), 2, 0)
@@ -41,7 +41,7 @@ def seen(*things: Object, size: tuple[int, int] = (8, 8), **changes: object) -> 
     """The ambient light alone, without occlusion, at the middles of the pixels."""
     camera = Camera((0.2, -0.7, 2.6), (0.05, 0.0, 0.0), fov=50.0, pixel="centre")
     scene = Scene("seen", camera, things, ambient=Ambient((1.0, 0.5, 0.25)), resolution=size)
-    return attrs.evolve(scene, toggles=Toggles(ambient_occlusion=False), **changes)
+    return attrs.evolve(scene, **{"toggles": Toggles(ambient_occlusion=False)} | changes)
 
 
 @pytest.mark.parametrize("wrap", MODES)
@@ -49,19 +49,22 @@ def seen(*things: Object, size: tuple[int, int] = (8, 8), **changes: object) -> 
 def test_lookups_are_bilinear(wrap: str, height: int, width: int):
     """Far beyond the border too, and on it: the corners of a face lie anywhere, and texels at both ends meet."""
     image = Texture(texels(height, width), wrap)  # type: ignore[arg-type]
+    grey = Texture(texels(width, height, 3, 1), wrap)  # type: ignore[arg-type]
     rng = np.random.default_rng(2)
     corners = rng.uniform(-3.0, 3.0, (40, 3, 2)).astype(np.float32)
     corners[:8] = rng.integers(-2, 3, (8, 3, 2))  # on the border of the image
     corners[8:16] = (rng.integers(-4, 5, (8, 3, 2)) + 0.5) / (width, height)  # on centres of texels
     faces = np.arange(120).reshape(-1, 3)
     mesh = Mesh.from_arrays(rng.normal(size=(120, 3)), faces, uv=corners)
-    images = from_scene(seen(Object("shards", mesh, Material(image))))
+    images = from_scene(seen(Object("shards", mesh, Material(image, grey))))
     assert images is not None
     weights = np.concatenate([np.eye(3), rng.dirichlet((1.0, 1.0, 1.0), 5)])
     for b in weights:
         found = np.array([color_at(images, 0, face, b[1], b[2]) for face in range(40)])
-        expected = looked_up(image, np.einsum("k,fkc->fc", b, corners.astype(np.float64)))
-        np.testing.assert_allclose(found, expected, atol=1e-12)
+        places = np.einsum("k,fkc->fc", b, corners.astype(np.float64))
+        np.testing.assert_allclose(found, looked_up(image, places), atol=1e-12)
+        numbers = [number_at(images, images.gloss[0], face, b[1], b[2]) for face in range(40)]
+        np.testing.assert_allclose(numbers, looked_up(grey, places)[:, 0], atol=1e-12)
 
 
 def brute_force(scene: Scene) -> np.ndarray:
@@ -86,23 +89,24 @@ def brute_force(scene: Scene) -> np.ndarray:
 
 
 def test_pictures_are_those_of_brute_force():
-    """A ball of two hundred faces, places of each corner at random, before a square: gloss 1/4 leaves 3/4 of it."""
+    """A ball with places of each corner at random before a square: gloss 1/4 leaves 3/4, and as an image its rest."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.6)
     rng = np.random.default_rng(5)
     mesh = Mesh.from_arrays(
         ball.vertices + (0.2, 0.1, 0.7), ball.faces, uv=rng.uniform(-1.5, 1.5, (len(ball.faces), 3, 2))
     )
     on_ball, on_square = Texture(texels(6, 4, 7)), Texture(texels(3, 5, 8), "clamp")
-    things = (
-        Object("ball", mesh, Material(on_ball, 0.25)),
-        square(on_square, ((-0.3, 0), (1.2, -0.2), (1, 1), (0, 1.4))),
-    )
+    gloss = Texture(texels(4, 2, 9, 1))
+    below = square(on_square, ((-0.3, 0), (1.2, -0.2), (1, 1), (0, 1.4)))
+    below = attrs.evolve(below, material=Material(on_square, gloss))
+    things = Object("ball", mesh, Material(on_ball, 0.25)), below
     scene = seen(*things, size=(24, 20))
     face, weights = brute_force(scene)
     corners = np.concatenate([thing.mesh.uv for thing in scene.objects])[face]
     uv = np.einsum("nk,nkc->nc", weights, corners)
     of_ball = face < len(mesh.faces)
-    expected = np.where(of_ball[:, None], 0.75 * looked_up(on_ball, uv), looked_up(on_square, uv))
+    on_below = (1.0 - looked_up(gloss, uv)) * looked_up(on_square, uv)
+    expected = np.where(of_ball[:, None], 0.75 * looked_up(on_ball, uv), on_below)
     expected = np.where(face[:, None] < 0, 0.0, expected * scene.ambient.color)
     assert 0.1 < of_ball[face >= 0].mean() < 0.9
     found = render(scene, "ambient", samples=1).mean.reshape(-1, 3)
@@ -121,8 +125,10 @@ def test_an_image_of_one_value_is_that_value():
             uv=[[0, 0], [9, 0], [9, 9], [0, 9]],
         ),
     )
-    things = [attrs.evolve(each, material=Material(image, 0.5, 0.4)) for each in (square(image), tilted)]
-    plain = [attrs.evolve(each, material=Material(tuple(value.tolist()), 0.5, 0.4)) for each in things]
+    gloss, roughness = (Texture(np.full((2, 2), each)) for each in (0.5, 0.4))
+    things = [attrs.evolve(each, material=Material(image, gloss, roughness)) for each in (square(image), tilted)]
+    alpha = float(np.float32(0.4))
+    plain = [attrs.evolve(each, material=Material(tuple(value.tolist()), 0.5, alpha)) for each in things]
     light = PointLight((0.3, -0.4, 1.5), (4.0, 3.0, 2.0))
     photons = Photons(count=500, radius=0.5)
     scenes = [

@@ -24,7 +24,7 @@ from termwise.scenes.textures import Texture
 
 
 def room(**changes: Any) -> Scene:
-    """A ball with places at random above a square that its image repeats on; both black in a quarter, and glossy."""
+    """A ball with places at random above a square, both black in a quarter, and glossy: the square by images too."""
     texels = np.random.default_rng(7).uniform(0.1, 0.9, (5, 4, 3)).astype(np.float32)
     texels[1:3, 1:3] = 0.0
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.5)
@@ -32,13 +32,15 @@ def room(**changes: Any) -> Scene:
     upper = Object("ball", Mesh.from_arrays(ball.vertices + (0.1, 0.2, 0.7), ball.faces, uv=uv), Material())
     floor = plate("floor", (-1.5, -1.5, 0.0), (3.0, 0.0, 0.0), (0.0, 3.0, 0.0), Material())
     lies = Mesh.from_arrays(floor.mesh.vertices, floor.mesh.faces, uv=[[-0.3, 0], [1.4, -0.2], [1, 1], [0, 1.7]])
-    images = Texture(texels), Texture(texels[::-1, ::-1], "clamp")
-    things = [
-        attrs.evolve(thing, mesh=mesh, material=Material(image, 0.4, 0.5, (0.9, 0.6, 0.3)))
-        for thing, mesh, image in zip((upper, floor), (upper.mesh, lies), images, strict=True)
-    ]
+    shares = np.random.default_rng(8).uniform(0.1, 0.7, (2, 3, 4))
+    steel = (0.9, 0.6, 0.3)
+    by_images = Material(Texture(texels[::-1, ::-1], "clamp"), Texture(shares[0]), Texture(0.2 + shares[1]), steel)
+    things = (
+        attrs.evolve(upper, material=Material(Texture(texels), 0.4, 0.5, steel)),
+        attrs.evolve(floor, mesh=lies, material=by_images),
+    )
     camera = Camera((0.2, -2.6, 2.4), (0.05, 0.0, 0.3), fov=45.0)
-    scene = Scene("room", camera, tuple(things), (PointLight((-0.9, -1.0, 1.8), (6.0, 5.0, 4.0)),), resolution=(16, 16))
+    scene = Scene("room", camera, things, (PointLight((-0.9, -1.0, 1.8), (6.0, 5.0, 4.0)),), resolution=(16, 16))
     scene = attrs.evolve(scene, ambient=Ambient((0.6, 0.5, 0.4)), photons=Photons(count=2000, radius=0.4))
     return attrs.evolve(scene, **changes)
 

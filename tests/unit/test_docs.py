@@ -175,6 +175,7 @@ def test_every_field_of_a_scene_file_is_in_the_manual():
     paths = {f"{name}.{field.name}" for name, kind in kinds.items() for field in attrs.fields(kind)}
     paths |= {f"lights.{field.name}" for kind in LIGHTS.values() for field in attrs.fields(kind)}
     paths |= {"lights.kind", *(f"objects.{name}" for name in placed)}
+    paths |= {f"….{field.name}" for field in attrs.fields(load._Image)}
     paths |= {field.name for field in attrs.fields(load._SceneFile)} - {*kinds, "lights", "objects"} | shapes - placed
     assert len(paths) > 50
     assert {path for path in paths if f"`{path}`" not in text} == set()

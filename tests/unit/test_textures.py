@@ -32,7 +32,7 @@ from termwise.scenes.strict import FileError
 from termwise.scenes.terms import TABLE
 from termwise.scenes.textures import Texture
 
-BYTES = np.random.default_rng(1).integers(0, 256, (3, 5, 3), dtype=np.uint8)
+BYTES = np.random.default_rng(1).integers(1, 256, (3, 5, 3), dtype=np.uint8)
 SHARES = BYTES / 255.0
 SRGB = colour.cctf_decoding(SHARES, function="sRGB")
 TOML = """
@@ -132,6 +132,19 @@ def test_grey_palettes_and_sixteen_bits(tmp_path: Path):
     assert (textures.read_color(tmp_path / "solid.png", None) == 1.0).all()
 
 
+def test_a_number_is_grey_or_one_channel(tmp_path: Path):
+    """And linear, unless the scene says that it is not: 255 is 1."""
+    png(tmp_path / "a.png")
+    png(tmp_path / "grey.png", BYTES[..., 0])
+    more = 'gloss = { file = "grey.png" }\nroughness = { file = "a.png", channel = "G", wrap = "clamp" }\n'
+    found = scene_of(tmp_path, "[0.5, 0.5, 0.5]", more=more).objects[0].material
+    np.testing.assert_allclose(found.gloss.texels[..., 0], SHARES[..., 0], rtol=1e-6)  # type: ignore[union-attr]
+    np.testing.assert_allclose(found.roughness.texels[..., 0], SHARES[..., 1], rtol=1e-6)  # type: ignore[union-attr]
+    assert found.roughness.wrap == "clamp"  # type: ignore[union-attr]
+    np.testing.assert_allclose(textures.read_number(tmp_path / "a.png", None, "B"), SHARES[..., 2], rtol=1e-6)
+    np.testing.assert_allclose(textures.read_number(tmp_path / "a.png", "sRGB", "R"), SRGB[..., 0], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("color", "message"),
     [
@@ -146,7 +159,23 @@ def test_grey_palettes_and_sixteen_bits(tmp_path: Path):
         ('{ file = "two.npy" }', r"color = 'two.npy': shape \(2, 2, 2\): allowed are"),
         ('{ file = "a.png", wrap = "mirror" }', r"objects\[0\].color.wrap = 'mirror': allowed is 'repeat' or 'clamp'"),
         ('{ file = "a.png", encoding = "gamma" }', r"color.encoding = 'gamma': allowed is 'sRGB' or 'linear'"),
-        ('{ image = "a.png" }', r"objects\[0\].color.image = 'a.png': unknown key: allowed are encoding, file, wrap"),
+        (
+            '{ image = "a.png" }',
+            r"objects\[0\].color.image = 'a.png': unknown key: allowed are channel, encoding, file",
+        ),
+        ('{ file = "a.png", channel = "R" }', r"color = 'a.png': channel = 'R': allowed is none, for a colour has all"),
+        (
+            '[0, 0, 0]\ngloss = { file = "a.png" }',
+            r"gloss = 'a.png': holds colours: allowed is a grey image, or a chan",
+        ),
+        (
+            '[0, 0, 0]\ngloss = "a.png"',
+            r"objects\[0\].gloss = 'a.png': allowed is a number, or a table with the file of",
+        ),
+        (
+            '[0, 0, 0]\nroughness = { file = "k.npy" }',
+            r"roughness = 'k.npy': texel \[0.0\] in row 0, .* \[0.0001, 1.5\]",
+        ),
         ('"a.png"', r"objects\[0\].color = 'a.png': allowed is a list of 3, or a table with the file of an"),
     ],
 )
@@ -155,6 +184,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, color: str, message: str):
     (tmp_path / "cut.png").write_bytes((tmp_path / "a.png").read_bytes()[:60])
     values = np.full((2, 2, 3), 0.5, np.float32)
     np.save(tmp_path / "two.npy", values[..., :2])
+    np.save(tmp_path / "k.npy", np.zeros((2, 2), np.float32))
     values[0, 1, 0] = 1.5
     np.save(tmp_path / "bright.npy", values)
     values[0, 1, 0], values[1, 0, 1] = 0.5, np.nan
@@ -333,6 +363,7 @@ def test_keys_see_texels_and_places():
     texels[1, 2, 0] = 1.0 - texels[1, 2, 0]
     others = (
         attrs.evolve(floor, material=Material(Texture(texels))),
+        attrs.evolve(floor, material=Material(Texture(SRGB), Texture([[0.25, 0.0]]))),
         attrs.evolve(floor, material=Material(Texture(SRGB, "clamp"))),
         attrs.evolve(floor, mesh=attrs.evolve(floor.mesh, uv=floor.mesh.uv * 0.5)),
     )
@@ -366,7 +397,8 @@ def test_a_saved_scene_has_its_images(tmp_path: Path):
         uv=np.random.default_rng(3).normal(size=(3, 3, 2)),
     )
     unread = attrs.evolve(scene.objects[1], mesh=attrs.evolve(scene.objects[1].mesh, uv=floor.mesh.uv))
-    things = (floor, unread, Object("fan", fan, Material(Texture(SHARES, "clamp"), 0.5)))
+    gloss, roughness = Texture(SHARES[..., 0]), Texture(0.1 + SHARES[:2, :2, 1], "clamp")
+    things = (floor, unread, Object("fan", fan, Material(Texture(SHARES, "clamp"), gloss, roughness)))
     scene = attrs.evolve(scene, objects=things)
     save(scene, tmp_path / "kept.toml")
     found = load(tmp_path / "kept.toml")
@@ -378,6 +410,9 @@ def test_a_saved_scene_has_its_images(tmp_path: Path):
 
 def test_exports_say_images_or_refuse_them(tmp_path: Path):
     scene = textured([[[0.25, 0.5, 1.0]]])  # of one texel
+    floor, aside = scene.objects
+    shown = Material(floor.material.color, Texture([[0.5, 0.25]]), Texture([[0.5, 0.25]], "clamp"))
+    scene = attrs.evolve(scene, objects=(attrs.evolve(floor, material=shown), aside))
     path = neutral.write_neutral(scene, tmp_path)
     described = json.loads(path.read_text())
     jsonschema.validate(described, json.loads(neutral.SCHEMA.read_text()))
@@ -387,8 +422,9 @@ def test_exports_say_images_or_refuse_them(tmp_path: Path):
     np.testing.assert_array_equal(described["objects"][0]["uv"], scene.objects[0].mesh.uv)
     assert "uv" not in described["objects"][1]
     mitsuba.write(scene, tmp_path / "squares.xml")
-    (bitmap,) = ElementTree.parse(tmp_path / "squares.xml").getroot().iter("texture")
-    values = {value.get("name"): value.get("value") for value in bitmap}
+    bitmaps = {each.get("name"): each for each in ElementTree.parse(tmp_path / "squares.xml").getroot().iter("texture")}
+    assert {*bitmaps} == {"reflectance", "weight", "alpha"}
+    values = {value.get("name"): value.get("value") for value in bitmaps["reflectance"]}
     assert values["raw"] == "true"
     assert values["wrap_mode"] == "repeat"
     assert openexr.read(tmp_path / str(values["filename"]), None)[0].pixels.shape == (2, 2, 3)
