@@ -113,6 +113,7 @@ def test_pictures_are_those_of_brute_force():
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_an_image_of_one_value_is_that_value():
     """All terms, whatever the uv; the reflections of one square in another meet it too."""
     value = np.float32([0.25, 0.5, 0.75])
@@ -153,6 +154,7 @@ def test_a_checker_of_two_by_two(wrap: str):
     assert corner == pytest.approx(0.4 if wrap == "repeat" else dark, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_photons_land_where_the_image_is_black_too():
     """A density counts those around a point: half of them would be missing beside a black half, and E with them."""
     half = np.zeros((1, 2, 3), np.float32)

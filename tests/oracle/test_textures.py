@@ -104,6 +104,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_terms_agree(name: str):
     """Means of each channel, and of each quarter of the picture, within their noise; photons in one kernel."""
