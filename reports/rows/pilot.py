@@ -61,7 +61,8 @@ def allotted(
 
 
 def _judged(study: Study, subject: Subject) -> list[Variant]:
-    every = [variant for of_term in subject.variants.values() for variant in of_term]
+    """Of the right ones: the paper's are decided by less, and cost as much as all others together."""
+    every = [variant for of_term in subject.variants.values() for variant in of_term if variant.kind == "right"]
     return [each for each in every if each.judged or own_limit(study, subject, each).kernel is not None]
 
 

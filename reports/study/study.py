@@ -141,8 +141,9 @@ class Study:
         judged against (at least 64 over all replicates are wanted); None: they are judged against E itself, with an
         allowance for the light that photons stand for.
     nearest_maps : the same of the k nearest photons, twice as many for `paper`.
-    half_width : of the 90 % interval of a judged row's mean, relative: replicates are allotted by a pilot so that few
-        are wider (see `reports.study.allotment`); None: each side has those that the study says.
+    half_width : of the 90 % interval of the mean of a judged row that is meant to be right, relative: replicates are
+        allotted by a pilot so that few are wider (see `reports.study.allotment`); None: each side has those that the
+        study says.
     photons : photons per pass at most, instead of a scene's larger count; None: the scenes' own.
     photons_of : photons per pass of the scenes named, whatever `photons` and the scenes say.
     samples : samples per pixel and replicate of a term, or of one variant as "term.variant"; powers of two keep
