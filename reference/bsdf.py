@@ -1,8 +1,12 @@
-"""Cook-Torrance: `f = k F(wi·wh) D(wh) G1(wi) G1(wo) / (4 mu_i mu_o)`.
+"""The lobes of the references: Cook-Torrance, and Lambert's of both sides.
+
+Cook-Torrance: `f = k F(wi·wh) D(wh) G1(wi) G1(wo) / (4 mu_i mu_o)`.
 
 D is the normalised Beckmann distribution, `F = F0 + (1 - F0)(1 - wi·wh)^5` Schlick's, and G1 the exact Smith term
 `2 / (1 + erf(a) + exp(-a²) / (a √π))`, `a = 1 / (α tan θ)` (Walter et al., EGSR 2007). Mitsuba's `roughconductor`
 has neither Schlick's F nor the exact G1: its rational approximation is up to 0.3 % off.
+
+Translucent: `f = w (1 - s) / pi` on the side that light comes from, `w s / pi` on the other.
 """
 
 # pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportAttributeAccessIssue=false
@@ -86,6 +90,69 @@ class CookTorrance(mi.BSDF):
         return f"CookTorrance[f0={self._f0}]"
 
 
+class Translucent(mi.BSDF):
+    """Diffuse light of which a share crosses the surface; the same from both sides."""
+
+    def __init__(self, props: Any) -> None:
+        """Read the weight w (`reflectance`, a texture) and the share s (`share`)."""
+        mi.BSDF.__init__(self, props)
+        self._reflectance = props.get_texture("reflectance")
+        self.share = float(props["share"])
+        self._share = dr.opaque(mi.Float, self.share)
+        sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+        self.m_components = [mi.BSDFFlags.DiffuseReflection | sides, mi.BSDFFlags.DiffuseTransmission | sides]
+        self.m_flags = self.m_components[0] | self.m_components[1]
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+        """Choose the side by its share, and there by the cosine; the weight is w."""
+        crosses = sample1 < self._share
+        local = mi.warp.square_to_cosine_hemisphere(sample2)
+        bs = mi.BSDFSample3f()
+        bs.wo = mi.Vector3f(local.x, local.y, dr.mulsign(local.z, si.wi.z) * dr.select(crosses, -1.0, 1.0))
+        bs.eta = 1.0
+        bs.sampled_type = dr.select(crosses, mi.UInt32(+self.m_components[1]), mi.UInt32(+self.m_components[0]))
+        bs.sampled_component = dr.select(crosses, mi.UInt32(1), mi.UInt32(0))
+        bs.pdf = self.pdf(ctx, si, bs.wo, active)
+        return bs, dr.select(active & (bs.pdf > 0.0), self._reflectance.eval(si, active), 0.0)
+
+    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """`f |mu_o|`, mi.Color3f."""
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """`|mu_o| / pi` times the share of its side, per solid angle."""
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """Value and density together: they differ by the weight of `sample`."""
+        mu_i, mu_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
+        share = dr.select(mu_i * mu_o < 0.0, self._share, 1.0 - self._share)
+        pdf = dr.select(active & (mu_i != 0.0) & (mu_o != 0.0), share * dr.abs(mu_o) * dr.inv_pi, 0.0)
+        return self._reflectance.eval(si, active) * pdf, pdf
+
+    def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
+        """The weight w, of both sides together."""
+        return self._reflectance.eval(si, active)
+
+    def to_string(self) -> str:
+        """Name the plugin with its parameters."""
+        return f"Translucent[reflectance={self._reflectance}, share={self._share}]"
+
+
+def share_of(lobe: Any) -> float:
+    """The share s of a shape's BSDF, whatever its weight: an image may be black in a place."""
+    return lobe.share if isinstance(lobe, Translucent) else 0.0
+
+
+def crossing_share(lobe: Any, si: Any, active: Any) -> Any:
+    """The share s of the light that crosses a surface whose BSDF is diffuse, on one side or both; 0 of a black one."""
+    context, up = mi.BSDFContext(), mi.Vector3f(0.0, 0.0, dr.mulsign(mi.Float(1.0), si.wi.z))
+    crossing = dr.max(lobe.eval(context, si, -up, active))
+    whole = crossing + dr.max(lobe.eval(context, si, up, active))
+    return dr.select(whole > 0.0, crossing / dr.maximum(whole, TINY), 0.0)
+
+
 def register() -> None:
-    """Make `cook_torrance` known to Mitsuba."""
+    """Make `cook_torrance` and `translucent` known to Mitsuba."""
     mi.register_bsdf("cook_torrance", CookTorrance)
+    mi.register_bsdf("translucent", Translucent)

@@ -25,6 +25,8 @@ def serves(loaded: Any, limit: dict[str, Any]) -> bool:
     description = loaded.description
     if dr.is_jit_v(mi.Float) or limit["transport"] == "physical" or description["camera"]["pixel"] != "jitter":
         return False
+    if description["translucent"]:  # a plugin in Python, which would be asked ray by ray
+        return False
     if max(map(abs, description["camera"]["origin"])) > FAR:
         return False
     if limit["term"] == "ambient":

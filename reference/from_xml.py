@@ -248,6 +248,15 @@ def _default(mi: Any, found: Import, node: _Node, shape: Any) -> Material:
 def _surface(mi: Any, found: Import, name: str, node: _Node, made: Any) -> Material:
     """The material of a BSDF; what is not diffuse and two-sided has a stand-in, or is refused."""
     name = f"{name}: bsdf {node.name}" if node.name != node.plugin else name
+    if (leaf := _leaf(mi, node, made, "")) is not None:
+        return leaf
+    kinds = [child.plugin for child in node.of("BSDF")]
+    if node.plugin == "blendbsdf" and kinds == ["blendbsdf", "twosided"]:
+        first, second = node.of("BSDF")
+        if (leaf := _leaf(mi, first, made, "bsdf_0.")) is not None:
+            lobe = _glossy(mi, found, name, next(second.of("BSDF")), made, "bsdf_1.brdf_0.")
+            gloss = float(np.array(mi.traverse(made)["weight.value"]).ravel()[0])
+            return attrs.evolve(lobe, color=leaf.color, translucency=leaf.translucency, gloss=gloss)
     inner, sides = node, 1
     if node.plugin == "twosided":
         both = [*node.of("BSDF")]
@@ -264,6 +273,25 @@ def _surface(mi: Any, found: Import, name: str, node: _Node, made: Any) -> Mater
     if sides == 1:
         found.instead(name, f"{inner.plugin} on one side", "the same on both sides")
     return material
+
+
+def _leaf(mi: Any, node: _Node, made: Any, prefix: str) -> Material | None:
+    """The material of a blend of `diffuse`, two-sided, and the transmitted part of `principledthin`, of one colour.
+
+    None of any other. `prefix` leads to the parameters of the node from those of the BSDF `made`.
+    """
+    if node.plugin != "blendbsdf" or [child.plugin for child in node.of("BSDF")] != ["twosided", "principledthin"]:
+        return None
+    thin = [*node.of("BSDF")][1]
+    values = {name: np.array(value).ravel() for name, value in mi.traverse(made).items() if name.startswith(prefix)}
+    color = values.get(f"{prefix}bsdf_0.brdf_0.reflectance.value")
+    crossing, all_of_it = (values.get(f"{prefix}bsdf_1.{key}.value") for key in ("base_color", "diff_trans"))
+    share = values.get(f"{prefix}weight.value")
+    if set(thin.properties) - {"base_color", "diff_trans"} or color is None or crossing is None or share is None:
+        return None
+    if not np.array_equal(color, crossing) or all_of_it is None or (all_of_it != 2.0).any():
+        return None
+    return Material(_color(color), 0.0, translucency=_color(share)[0])
 
 
 def _glossy(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: str) -> Material:

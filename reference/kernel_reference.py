@@ -8,8 +8,9 @@ leave Mitsuba's emitters (`sample_ray`; those of a light that is the same all ar
 by its `ray_intersect`, and are gathered by scipy's k-d tree (see `density`). They are independent of each other, and
 every map has its own.
 Roulette survives with `P = min(0.99, largest channel of the albedo)`; a survivor is scattered with cosine density
-about the normal n that is shaded, times `|wi·n| |wo·m| / (|wi·m| |wo·n|)` where that is not the face's own m: light and
-importance see different cosines (Veach 1997, equation 5.19).
+about the normal n that is shaded, turned with the chance s that light crosses, times
+`|wi·n| |wo·m| / (|wi·m| |wo·n|)` where that is not the face's own m: light and importance see different cosines (Veach
+1997, equation 5.19).
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false
@@ -23,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from . import density
+from . import bsdf, density
 from .density import Faces, Photons, Points
 from .rays import LIFT, lifted
 from .terms import direct, shadows, specular
@@ -74,6 +75,7 @@ class Surfaces(NamedTuple):
     first : (O,) number of each shape's first face.
     faces : the triangles.
     albedo : (F + 1, 3), `color (1 - g)` of each face, of an image the largest; the last, black, is that of a miss.
+    crossing : (F + 1,), the share s of it that leaves on the other side.
     survival : (F + 1,), `P = min(MAX_SURVIVAL, largest channel of the albedo)`.
     emitters : all of them.
     varies : whether any albedo is an image's.
@@ -83,6 +85,7 @@ class Surfaces(NamedTuple):
     first: np.ndarray
     faces: Faces
     albedo: np.ndarray
+    crossing: np.ndarray
     survival: np.ndarray
     emitters: tuple[Emitter, ...]
     varies: bool
@@ -206,6 +209,11 @@ def _gather(
         block = lit[start : start + POINTS]
         here = Points(*(column[block] for column in points))
         irradiance = _irradiance(kernel, radius, surfaces.faces, here, photons)
+        share = surfaces.crossing[here.face][:, None]
+        if share.any():
+            back = here._replace(side=-here.side, normal=-here.normal)
+            behind = _irradiance(kernel, radius, surfaces.faces, back, photons)
+            irradiance = (1.0 - share) * irradiance + share * behind
         radiance[start : start + POINTS] = seen.weight[block] * albedo[block] * irradiance
     return seen.pixel[lit], radiance
 
@@ -233,12 +241,13 @@ def surfaces_of(scene: Any, parts: list[list[list[int]]], varying: Sequence[list
     """
     frontal = dr.zeros(mi.SurfaceInteraction3f)
     frontal.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    corners, albedo = [], []
+    corners, albedo, crossing = [], [], []
     meshes = [shape for shape in scene.shapes() if shape.is_mesh()]
     for shape in meshes:
         vertices = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
         corners.append(vertices[np.array(shape.faces_buffer(), np.int64).reshape(-1, 3)])
         albedo.append(np.array(shape.bsdf().eval_diffuse_reflectance(frontal), np.float64).reshape(3))
+        crossing.append(bsdf.share_of(shape.bsdf()))
     albedo = [
         each if most is None else most for each, most in zip(albedo, varying or [None] * len(albedo), strict=True)
     ]
@@ -249,8 +258,9 @@ def surfaces_of(scene: Any, parts: list[list[list[int]]], varying: Sequence[list
     faces = density.faces(np.concatenate(corners), thing, smooth)
     of_faces = np.array([*albedo, np.zeros(3)])[[*owner, -1]]
     survival = np.minimum(of_faces.max(axis=1), MAX_SURVIVAL)
+    of_sides = np.array([*crossing, 0.0])[[*owner, -1]]
     varies = any(most is not None for most in varying)
-    return Surfaces(scene, first, faces, of_faces, survival, emitters_of(scene, faces), varies)
+    return Surfaces(scene, first, faces, of_faces, of_sides, survival, emitters_of(scene, faces), varies)
 
 
 def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hits: bool, weighted: bool) -> Photons:
@@ -276,7 +286,10 @@ def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hit
         alive = here[rng.random(len(here)) < survival[here]]
         face = hit.face[alive]
         came, normal = -direction[alive], surfaces.faces.normals[face]
-        direction = _cosine_distributed(hit.normal[alive], rng.random((len(face), 2)))
+        shaded = hit.normal[alive]
+        if surfaces.crossing.any():
+            shaded = np.where(rng.random((len(face), 1)) < surfaces.crossing[face, None], -shaded, shaded)
+        direction = _cosine_distributed(shaded, rng.random((len(face), 2)))
         # A direction about an interpolated normal may lead below the face.
         origin = hit.position[alive] + (LIFT * np.sign(_dot(direction, normal)))[:, None] * normal
         power = power[alive]

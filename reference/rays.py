@@ -15,6 +15,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from . import bsdf
+
 OWN_FACES = 64  # of the object that a ray leaves, that it may cross
 # At the canonical scale no coordinate of a vertex exceeds 50. A point is the sum of three of them by barycentric
 # coordinates: at most 2^-24 * 50 * (3 roundings of sums + 1 of the coordinates) * sqrt(3) = 2.1e-5 off its plane.
@@ -31,6 +33,17 @@ def side(loaded: Any, si: Any) -> Any:
     """+1 or -1: the sign of the shading frame's z that is lit."""
     one = mi.Float(1.0)
     return one if loaded.description["normals"] == "face" else dr.mulsign(one, si.wi.z)
+
+
+def crossing(loaded: Any, si: Any, active: Any) -> Any:
+    """The share of the diffuse light that is of the other side; None where no surface of the scene lets any through."""
+    return bsdf.crossing_share(si.bsdf(), si, active) if loaded.description["translucent"] else None
+
+
+def sampled_side(loaded: Any, si: Any, share: Any, sampler: Any, active: Any) -> Any:
+    """As `side`, of the other side with the chance `share`."""
+    lit = side(loaded, si)
+    return lit if share is None else dr.select(sampler.next_1d(active) < share, -lit, lit)
 
 
 def lifted(point: Any, normal: Any, direction: Any) -> Any:

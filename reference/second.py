@@ -42,11 +42,16 @@ def _ambient(loaded: Any, _limit: dict[str, Any]) -> Any:
             return mi.Color3f(0.0)
         albedo = si.bsdf().eval_diffuse_reflectance(si, active)
         seen = mi.Color3f(0.0)
-        for _ in range(ambient.RAYS):
+        share = rays.crossing(loaded, si, active)
+        for number in range(ambient.RAYS):
             local = mi.warp.square_to_uniform_hemisphere(sampler.next_2d(active))
-            ray = rays.spawn(si, si.to_world(local * rays.side(loaded, si)))
+            weight = 2.0 * local.z
+            side = rays.side(loaded, si)
+            if share is not None:  # by turns on either side, whatever its share
+                side, weight = (-side, 2.0 * share * weight) if number % 2 else (side, 2.0 * (1.0 - share) * weight)
+            ray = rays.spawn(si, si.to_world(local * side))
             met = scene.ray_intersect(ray, active)
-            seen += dr.select(met.is_valid() & (met.t < reach), 0.0, 2.0 * local.z * light(ray, active))
+            seen += dr.select(met.is_valid() & (met.t < reach), 0.0, weight * light(ray, active))
         return dr.select(active, albedo * (seen / ambient.RAYS), 0.0)
 
     return radiance

@@ -101,6 +101,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "irradiance_factor": scene.irradiance_factor,
         "ignore": scene.ignore,
         "normals": scene.normals,
+        "translucent": bool(scene.translucent),
         "max_bounces": scene.max_bounces if scene.toggles.reflections else 0,
         "has_lights": scene.has_lights,
         "varying": [list(scene.diffuse_weight(thing.surface)) if thing.surface.textures else None for thing in shapes],
@@ -280,7 +281,7 @@ def _object(scene: Scene, thing: Object, number: int, role: Role, lit: bool) -> 
         "type": "ply",
         "filename": _mesh_file(number),
         "face_normals": flat,
-        "bsdf": {"type": "twosided", "bsdf": _bsdf(scene, thing.surface, role)},
+        "bsdf": _bsdf(scene, thing.surface, role),
     }
     if lit and thing.emits:
         described["emitter"] = _face(thing)
@@ -288,18 +289,33 @@ def _object(scene: Scene, thing: Object, number: int, role: Role, lit: bool) -> 
 
 
 def _bsdf(scene: Scene, material: Material, role: Role) -> dict[str, Any]:
-    """The lobe or lobes of a role, their weights inside; black where the weight is 0."""
+    """The lobe or lobes of a role on both sides, their weights inside; black where the weight is 0."""
     if role == "color":
-        return {"type": "diffuse", "reflectance": _color(material.color)}
+        return _diffuse(material, _color(material.color))
     gloss = scene.specular_weight(material)
     alpha, factor = _number(material.roughness), _number(material.gloss if scene.toggles.reflections else 0.0)
     lobe = {"type": "cook_torrance", "alpha": alpha, "f0": list(material.f0), "factor": factor}
     if role == "specular":
-        return lobe if gloss > 0 else BLACK_BSDF
+        return _twosided(lobe if gloss > 0 else BLACK_BSDF)
     if role in ("diffuse", "ambient", "direct") or gloss == 0:
-        return {"type": "diffuse", "reflectance": _diffuse_part(scene, material)}
-    diffuse = {"type": "diffuse", "reflectance": _color(material.color)}
-    return {"type": "blendbsdf", "weight": factor, "first": diffuse, "second": lobe | {"factor": 1.0}}
+        return _diffuse(material, _diffuse_part(scene, material))
+    diffuse, lobe = _color(material.color), lobe | {"factor": 1.0}
+    if material.translucency > 0.0:  # each part says both sides itself
+        parts = {"first": _diffuse(material, diffuse), "second": _twosided(lobe)}
+        return {"type": "blendbsdf", "weight": factor, **parts}
+    first = {"type": "diffuse", "reflectance": diffuse}
+    return _twosided({"type": "blendbsdf", "weight": factor, "first": first, "second": lobe})
+
+
+def _diffuse(material: Material, reflectance: dict[str, Any]) -> dict[str, Any]:
+    """The diffuse part of a weight; `twosided` takes nothing that lets light through."""
+    if material.translucency > 0.0:
+        return {"type": "translucent", "reflectance": reflectance, "share": material.translucency}
+    return _twosided({"type": "diffuse", "reflectance": reflectance})
+
+
+def _twosided(bsdf: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "twosided", "bsdf": bsdf}
 
 
 def _color(value: Color | Texture) -> dict[str, Any]:

@@ -1,5 +1,9 @@
 """What a surface does to light, the weights of `color (1 - gloss) / pi + gloss f`, where a ray has met it.
 
+Of the diffuse part w = color (1 - gloss) the share s, the translucency, is of the other side:
+`w ((1 - s) L(n) + s L(-n))`, L any term about a normal, n on the viewer's side. Samples choose a side with its share;
+what has no number to choose by, or sees both sides for the price of one, adds them.
+
 The only reader of `SceneArrays.materials`. A reader is given the place, face and barycentrics, and not the object: what
 varies over a surface is a matter of this file alone, and of `renderer.textures`, which looks images up. Each reads no
 more than its caller asks for.
@@ -16,7 +20,8 @@ from termwise.renderer import textures
 from termwise.renderer.jit import device
 from termwise.renderer.textures import Textures, color_at, number_at
 from termwise.renderer.unoccluded import open_sides
-from termwise.renderer.vector import Vec3, is_black, scale, vec3
+from termwise.renderer.vector import Vec3, is_black, negate, scale, vec3
+from termwise.renderer.warp import square_to_cosine_hemisphere
 from termwise.scenes.model import Scene, largest
 
 if TYPE_CHECKING:  # they hold what is defined here
@@ -39,6 +44,8 @@ class Materials(NamedTuple):
     emission : (O, 3), radiance of the front side.
     open : (O, 2) bool, whether nothing can lie within the ambient range of the object's front, and of its back.
     textures : the images, or None of a scene that has none: its kernels are compiled without.
+    translucency : (O,), share of the diffuse part that crosses; None of a scene that has no such object, whose kernels
+        are compiled without.
     """
 
     color: np.ndarray
@@ -49,6 +56,10 @@ class Materials(NamedTuple):
     emission: np.ndarray
     open: np.ndarray
     textures: Textures | None
+    translucency: np.ndarray | None
+
+
+_BELOW_ONE = 1.0 - 2.0**-53
 
 
 def from_scene(scene: Scene, without: Collection[str]) -> Materials:
@@ -65,6 +76,7 @@ def from_scene(scene: Scene, without: Collection[str]) -> Materials:
         np.array([each if lit else (0.0, 0.0, 0.0) for each in emission]).reshape(-1, 3),
         _open(scene, without),
         textures.from_scene(scene),
+        np.array([surface.translucency for surface in surfaces]) if scene.translucent else None,
     )
 
 
@@ -149,8 +161,46 @@ def emission(scene: SceneArrays, face: int, b1: float, b2: float) -> Vec3:
     return vec3(scene.materials.emission, scene.geometry.object[face])
 
 
+# Numba leaves out a branch that asks an argument of type None whether it is None, and compiles nothing behind it.
+
+
+@device
+def side_of(share: float, u: float) -> tuple[bool, float]:
+    """Whether a sample is of the other side, which has a share of them, and what is left of its number, in [0, 1)."""
+    crosses = u < share
+    left = u / share if crosses else (u - share) / (1.0 - share)
+    return crosses, min(left, _BELOW_ONE)
+
+
+@device
+def sampled_side(translucency: np.ndarray | None, surface: Surface, u: float) -> tuple[Vec3, float]:
+    """The normal of the side that a sample is of, and what is left of its number."""
+    if translucency is None:
+        return surface.normal, u
+    crosses, u = side_of(translucency[surface.object], u)
+    return negate(surface.normal) if crosses else surface.normal, u
+
+
+@device
+def scattered(translucency: np.ndarray | None, surface: Surface, u: float, v: float) -> Vec3:
+    """Direction of diffuse light about the normal: of density |cos| / pi times the share of its side."""
+    if translucency is None:
+        return square_to_cosine_hemisphere(u, v)
+    crosses, u = side_of(translucency[surface.object], u)
+    local = square_to_cosine_hemisphere(u, v)
+    return Vec3(local.x, local.y, -local.z) if crosses else local
+
+
 @device
 def sees_all_ambient(scene: SceneArrays, surface: Surface) -> bool:
-    """Whether nothing can lie within the ambient range of the side that is seen."""
+    """Whether nothing can lie within the ambient range of the side that is seen, nor of one that light crosses from."""
+    return _sees_all(scene, scene.materials.translucency, surface)
+
+
+@device
+def _sees_all(scene: SceneArrays, translucency: np.ndarray | None, surface: Surface) -> bool:
     front = surface.side > 0.0 or not scene.face_forward
-    return scene.materials.open[surface.object, 0 if front else 1]
+    sees = scene.materials.open[surface.object, 0 if front else 1]
+    if translucency is not None and translucency[surface.object] > 0.0:
+        return sees and scene.materials.open[surface.object, 1 if front else 0]
+    return sees

@@ -2,8 +2,8 @@
 
 A photon starts with what its light sends (`4 pi I` of a point, `pi A L` of a face, see `renderer.lights`) over the
 probability of the pick and goes on by Russian roulette of probability P. Diffuse scattering has the weight
-`f cos(theta) / p = albedo = color (1 - gloss)`; with full scattering the Cook-Torrance lobe is picked besides, in
-proportion to its gloss, and sampled by visible normals.
+`f cos(theta) / p = albedo = color (1 - gloss)`, and leaves a translucent surface on either side; with full scattering
+the Cook-Torrance lobe is picked besides, in proportion to its gloss, and sampled by visible normals.
 
 Weighted photons carry the mean flux of light transport for any P. Unweighted ones keep the flux that they had, which
 scatters light with the grey albedo P: `rho / (1 - rho)` becomes `P / (1 - P)` (paper).
@@ -22,7 +22,7 @@ from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights import emit_photon
-from termwise.renderer.material import diffuse_weight, holds_photons, lobe_alpha, lobe_f0, specular_weight
+from termwise.renderer.material import diffuse_weight, holds_photons, lobe_alpha, lobe_f0, scattered, specular_weight
 from termwise.renderer.microfacet import sample_lobe
 from termwise.renderer.photon_map import PhotonMap, build, empty
 from termwise.renderer.rng import fold, stream
@@ -30,7 +30,6 @@ from termwise.renderer.scratch import PHOTONS, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
 from termwise.renderer.surface import Surface, trace
 from termwise.renderer.vector import Vec3, dot, frame, is_black, max_component, mul, scale, to_local, to_world, vec3
-from termwise.renderer.warp import square_to_cosine_hemisphere
 
 _CHUNK = 4096
 _STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pixel
@@ -100,7 +99,7 @@ def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sa
     u, v = sample_2d(sampler, _DIRECTION)
     if gloss == 0.0 or sample_1d(sampler, _LOBE) < share:
         weight = scale(weight, 1.0 / share)
-        wi = square_to_cosine_hemisphere(u, v)
+        wi = scattered(scene.materials.translucency, surface, u, v)
     else:
         f0 = lobe_f0(scene, surface)
         alpha = lobe_alpha(scene, surface)

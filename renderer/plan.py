@@ -468,6 +468,10 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
         skip("open", "open surfaces")
     if "diffuse" in applied:
         skip("diffuse", "black surfaces")
+    crossed = any(each.term in ("ambient", "direct") for each in _estimators(variant, chain))
+    if scene.translucent and crossed:
+        names = _names([thing.name for thing in scene.translucent])
+        steps.append(Step(term, "light of the other side", "runs", f"it crosses {names}"))
     if "horizon" in applied:
         steps.append(Step(term, "shadow rays", "runs", "one a light sample"))
         skip("horizon", "unlit shadow rays")

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from termwise.renderer import camera, film, kernel_mass, lights, photon_map, photon_search, sobol, surface, warp
+from termwise.renderer import camera, film, kernel_mass, lights, material, photon_map, photon_search, sobol, surface
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.jit import PACKAGE
 from termwise.renderer.microfacet import pdf_lobe
@@ -129,10 +129,17 @@ class Recorder:
         if caller.f_code.co_name == "direct_path":
             self.note("gain", throughput=caller.f_locals["throughput"], irradiance=irradiance)
 
-    def square_to_cosine_hemisphere(self, given: Any, local: Any, caller: FrameType) -> None:
-        """Where a diffuse path goes on."""
+    def scattered(self, given: Any, local: Any, caller: FrameType) -> None:
+        """Where a diffuse path goes on; below the surface where its light crosses it."""
+        through = 0.0 if given.translucency is None else given.translucency[given.surface.object]
+        share = through if local.z < 0.0 else 1.0 - through
         if caller.f_code.co_name == "direct_path":
-            self.note("diffuse direction", local=local, pdf=local.z / math.pi)
+            self.note("diffuse direction", local=local, pdf=share * abs(local.z) / math.pi)
+
+    def side_of(self, given: Any, chosen: Any, caller: FrameType) -> None:
+        """Whether a sample of ambient light is of the other side."""
+        if caller.f_code.co_name != "scattered" and given.share > 0.0:
+            self.note("side", translucency=given.share, crosses=bool(chosen[0]))
 
     def sample_variant(self, given: Any, drawn: Any, caller: FrameType) -> None:
         """A direction of the specular lobe, and its weight before gloss."""
@@ -209,7 +216,8 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     lights.pick_by_light,
     lights.sample_light,
     direct.light_irradiance,
-    warp.square_to_cosine_hemisphere,
+    material.scattered,
+    material.side_of,
     specular.sample_variant,
     sobol.sample_1d,
     kernel_mass.falloff,

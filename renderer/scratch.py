@@ -56,7 +56,8 @@ class Scratch(NamedTuple):
         randomness, and its number within the pixel.
     column : (8,) int64, the pixel's column of each sample that waits for its occlusion ray.
     radiance, hidden : (8, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
-    rays : the occlusion rays; `lane` (8,) int64 is the sample of each.
+    rays : the occlusion rays; `lane` (8,) int64 is the sample of each, `share` (8,) float64 the translucency where it
+        begins.
     key, sample : (8,) uint64 and uint32, the randomness of each occlusion ray.
     u, v : (8 LIGHT_SAMPLES,) float64 each, points of the unit square: of the camera rays, then of what leaves their
         hits.
@@ -74,6 +75,7 @@ class Scratch(NamedTuple):
     hidden: np.ndarray
     rays: Rays8
     lane: np.ndarray
+    share: np.ndarray
     key: np.ndarray
     sample: np.ndarray
     u: np.ndarray
@@ -99,6 +101,7 @@ def new_scratch() -> Scratch:
         _zeros((SIZE, 3)),
         new_rays8(),
         _zeros(SIZE, np.int64),
+        _zeros(SIZE),
         _zeros(SIZE, np.uint64),
         _zeros(SIZE, np.uint32),
         _zeros(SIZE * LIGHT_SAMPLES),

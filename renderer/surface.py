@@ -39,6 +39,13 @@ class Surface(NamedTuple):
 
 
 @device
+def turned(surface: Surface) -> Surface:
+    """The same point seen from the other side, but for the way to who sees it."""
+    s = surface
+    return Surface(s.point, negate(s.normal), s.wo, s.face, s.object, -s.side, s.b1, s.b2)
+
+
+@device
 def _shading_normal(geometry: Geometry, face: int, b1: float, b2: float) -> Vec3:
     if not geometry.smooth[face]:
         return vec3(geometry.normals, face)

@@ -5,11 +5,11 @@ normal, overlap by more than rounding: vertices are float32 numbers, so rounding
 Faces that share an edge or touch are not.
 
 A side of such a place is sealed if the camera's rays never come to it: it lies within a solid (the solid side of a face
-of a closed mesh that the camera is outside of), or nothing lies beyond its plane, the camera neither. A block on a
-floor and two blocks side by side are sealed on both sides; what coincides there is never seen. Elsewhere, of faces of
-equal look the earlier one stands and the others lose what it covers, so that a mesh with all faces listed twice, in one
-winding or both, is the mesh with each once. Faces of different materials, and lights, are refused by the names of their
-objects.
+of a closed mesh that lets no light through and that the camera is outside of), or nothing lies beyond its plane, the
+camera neither. A block on a floor and two blocks side by side are sealed on both sides; what coincides there is never
+seen. Elsewhere, of faces of equal look the earlier one stands and the others lose what it covers, so that a mesh with
+all faces listed twice, in one winding or both, is the mesh with each once. Faces of different materials, and lights,
+are refused by the names of their objects.
 """
 
 import functools
@@ -145,7 +145,8 @@ def _sealed(objects: Sequence[Any], faces: Faces, pairs: np.ndarray, eye: np.nda
     normals = faces.normals[pairs[:, 0]]
     solid = np.zeros(len(objects))
     for owner in np.unique(faces.owner[pairs]):
-        solid[owner] = _solid(objects[owner].mesh, eye)
+        if objects[owner].surface.translucency == 0.0:
+            solid[owner] = _solid(objects[owner].mesh, eye)
     for face in pairs.T:
         side = -solid[faces.owner[face]] * np.sign(np.einsum("nx,nx->n", faces.normals[face], normals))
         sealed |= np.column_stack([side > 0, side < 0])

@@ -132,6 +132,7 @@ class _Placed:
     gloss: float | _Image = cast(float, model.Material().gloss)
     roughness: float | _Image = cast(float, model.Material().roughness)
     f0: model.Color = model.Material().f0
+    translucency: float = model.Material().translucency
     emission: model.Color = attrs.field(default=model.BLACK, validator=model.non_negative)
 
     def __attrs_post_init__(self) -> None:

@@ -143,12 +143,16 @@ def least(value: Any) -> Any:
 class Material:
     """Diffuse `color * (1 - gloss)` under a Cook-Torrance lobe weighted by `gloss`.
 
+    Of the diffuse light `translucency` crosses the surface and the rest stays on the side that it came from:
+    `color (1 - gloss) ((1 - s) E(n) + s E(-n)) / pi`, n on the viewer's side. The lobe lets nothing through.
+
     Attributes
     ----------
     color : reflectance in [0, 1] per channel.
     gloss : the paper's share g of reflected light, in [0, 1].
     roughness : Beckmann alpha, in [1e-4, 1.5].
     f0 : Schlick's reflectance at normal incidence, in [0, 1] per channel.
+    translucency : share s of the diffuse light that leaves on the other side, in [0, 1].
 
     Color, gloss and roughness may be a `Texture`, of 3 channels, 1 and 1.
     """
@@ -161,6 +165,7 @@ class Material:
         converter=_or_texture(_number, 1), default=0.5, validator=in_range(1e-4, 1.5)
     )
     f0: Color = attrs.field(converter=_triple, default=(0.04, 0.04, 0.04), validator=unit_interval)
+    translucency: float = attrs.field(converter=_number, default=0.0, validator=unit_interval)
 
     @property
     def textures(self) -> dict[str, Texture]:
@@ -618,7 +623,7 @@ class Scene:
       concave objects their own shadows and occlusion.
     - `normals`: a surface is shaded about the normal of the "viewer"'s side, or about the one that its "face" has,
       whichever side is seen: from behind, ambient and direct are those of the front, and the specular lobe is 0 (its
-      masking is, where the view is below the surface). Photons and smooth meshes need the former.
+      masking is, where the view is below the surface). Photons, smooth meshes and translucency need the former.
     - `intersection`: "watertight", or "paper": a test of angles with absolute epsilons of 1e-5 against every face.
 
     `substitutions` says of a scene that was read from another renderer's file what stands for what the model cannot
@@ -663,6 +668,11 @@ class Scene:
                     raise ValueError(
                         f"objects: {thing.name!r}: normals = 'smooth': allowed is 'flat' where the scene has normals = "
                         "'face'"
+                    )
+                if thing.material.translucency > 0.0:
+                    raise ValueError(
+                        f"objects: {thing.name!r}: translucency = {thing.material.translucency!r}: allowed is 0 where "
+                        "the scene has normals = 'face', for which no side is the viewer's"
                     )
         if self.shadows == "paper":
             for number, light in enumerate(self.lights):
@@ -711,6 +721,12 @@ class Scene:
     def specular_weight(self, material: Material) -> float:
         """Gloss, of an image the largest; 0 where reflections are off."""
         return largest(material.gloss) if self.toggles.reflections else 0.0
+
+    @property
+    def translucent(self) -> tuple[Object, ...]:
+        """The objects that let light through."""
+        through = (thing for thing in self.objects if thing.surface.translucency > 0.0)
+        return tuple(thing for thing in through if any(largest(thing.surface.color)))
 
     @property
     def has_lights(self) -> bool:

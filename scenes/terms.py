@@ -106,8 +106,11 @@ _EMITTERS = read("objects.emission", of=lambda scene: tuple(thing.emits for thin
 _DIFFUSE = read(
     "objects.material.color",
     "objects.material.gloss",
+    "objects.material.translucency",
     "toggles.reflections",
-    of=lambda scene: tuple(_diffuse_part(scene, thing.surface) for thing in scene.objects),
+    of=lambda scene: tuple(
+        (_diffuse_part(scene, thing.surface), thing.surface.translucency) for thing in scene.objects
+    ),
 )
 _MATERIAL = (
     "objects.material.color",

@@ -3,7 +3,7 @@
 Cosine-distributed rays as long as the range are cast. Range 0, or a limit without occlusion: AO is 1.
 With N rings the integral is `(2/N) Σ mu_k hit_k`, mu_k = k / (N + 1), its azimuths uniform. Where the paper's shadow
 rule makes a point dark, its albedo is `color`. Where the ambient light is a textured sky, it is looked up along each
-ray, in the place of L_a0.
+ray, in the place of L_a0. Of a translucent surface each ray leaves the side that it is of, with that side's share.
 """
 
 from typing import Any
@@ -50,13 +50,15 @@ def incoming(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = RAYS) 
         if reach == 0.0 and constant:
             return dr.select(active, albedo * light(ray, active), 0.0)
         seen = mi.Color3f(0.0)
+        share = rays.crossing(loaded, si, active)
         for _ in range(occlusion_rays):
             if limit["rings"] is None or reach == 0.0:
                 local, weight = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active)), 1.0
             else:
                 local = ring_direction(sampler.next_2d(active), limit["rings"])
                 weight = 2.0 * local.z
-            occlusion_ray = rays.spawn(si, si.to_world(local * rays.side(loaded, si)))
+            side = rays.sampled_side(loaded, si, share, sampler, active)
+            occlusion_ray = rays.spawn(si, si.to_world(local * side))
             sent = weight * light(occlusion_ray, active)
             if reach == 0.0:
                 seen += sent

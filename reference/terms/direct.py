@@ -59,19 +59,33 @@ def followed(loaded: Any, most: int, faint: float, ray: Any, sampler: Any, activ
     vertices, last = mi.UInt32(0), dr.opaque(mi.UInt32, most)
     while active:
         throughput *= si.bsdf().eval_diffuse_reflectance(si, active)
-        side = rays.side(loaded, si)
         ds, light = scene.sample_emitter_direction(si, sampler.next_2d(active), False, active)
-        cosine = dr.maximum(side * dr.dot(si.sh_frame.n, ds.d), 0.0)
+        cosine = _received(loaded, si, dr.dot(si.sh_frame.n, ds.d), active)
         lit = active & (ds.pdf > 0.0) & (cosine > 0.0)
         lit &= ~rays.blocked(loaded, scene, si, rays.segment(si, ds.p, rays.normal_of(ds)), lit)
         color += dr.select(lit, throughput * light * (cosine * dr.inv_pi), 0.0)
         local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
+        side = _left(loaded, si, sampler, active)
         _, si = rays.leave(loaded, scene, si, rays.spawn(si, si.to_world(side * local)), active)
         vertices += 1
         alive = paths.survival(throughput, faint)
         active &= (vertices < last) & meets_surface(si) & (sampler.next_1d(active) < alive)
         throughput *= dr.select(active, dr.rcp(alive), 0.0)
     return color
+
+
+def _received(loaded: Any, si: Any, cosine: Any, active: Any) -> Any:
+    """|cosine| to the shading normal, times the share of light from there that is scattered towards the viewer."""
+    cosine = rays.side(loaded, si) * cosine
+    share = rays.crossing(loaded, si, active)
+    if share is None:
+        return dr.maximum(cosine, 0.0)
+    return dr.select(cosine > 0.0, (1.0 - share) * cosine, -share * cosine)
+
+
+def _left(loaded: Any, si: Any, sampler: Any, active: Any) -> Any:
+    """Sign of the shading frame's z on the side that a path leaves to."""
+    return rays.sampled_side(loaded, si, rays.crossing(loaded, si, active), sampler, active)
 
 
 def longest(loaded: Any, limit: dict[str, Any]) -> int:

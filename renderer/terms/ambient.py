@@ -12,6 +12,8 @@ is drawn and weighted, and hence in what they converge to:
 
 Where the ambient light is a textured sky, L_sky of the direction is in the place of L_a0, in every variant, and
 `cosine` draws half of its directions where the sky is bright (`renderer.sky_light`).
+
+Where a surface is translucent its light is `(1 - s) A(n) + s A(-n)`: each sample is of one side, with its share.
 """
 
 import math
@@ -23,7 +25,7 @@ from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.film import most_of, next_hits, no_hits, resolve_occlusion, samples_of
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
-from termwise.renderer.material import diffuse_weight, sees_all_ambient, whole_color
+from termwise.renderer.material import diffuse_weight, sampled_side, sees_all_ambient, side_of, whole_color
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sky import sky_radiance
 from termwise.renderer.sky_light import SkyMap, sky_light
@@ -31,7 +33,7 @@ from termwise.renderer.sobol import Sampler, sample_2d
 from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
-from termwise.renderer.vector import Vec3, column, frame, is_black, mul, put, put_column, scale, to_world, vec3
+from termwise.renderer.vector import Vec3, column, frame, is_black, mul, negate, put, put_column, scale, to_world, vec3
 from termwise.renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
@@ -117,7 +119,8 @@ def ambient_radiance(
     if not asks:
         return radiance
     u, v = sample_2d(sampler, OCCLUSION)
-    direction, weight = _by_direction(scene, scene.sky_map, rule, surface.point, surface.normal, u, v)
+    normal, u = sampled_side(scene.materials.translucency, surface, u)
+    direction, weight = _by_direction(scene, scene.sky_map, rule, surface.point, normal, u, v)
     if occluded(scene, surface, direction, ambient_reach(scene, rule), -1, scratch):
         return Vec3(0.0, 0.0, 0.0)
     return mul(radiance, weight)
@@ -132,7 +135,24 @@ def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratc
     for k in range(asking):
         sampler = Sampler(scratch.key[k], scratch.sample[k])
         scratch.u[k], scratch.v[k] = sample_2d(sampler, OCCLUSION)
+    _choose_sides(scene.materials.translucency, asking, scratch)
     _weigh(scene, scene.sky_map, rule, asking, scratch)
+
+
+@device
+def _keep_share(translucency: np.ndarray | None, asking: int, surface: Surface, scratch: Scratch) -> None:
+    if translucency is not None:
+        scratch.share[asking] = translucency[surface.object]
+
+
+@device
+def _choose_sides(translucency: np.ndarray | None, asking: int, scratch: Scratch) -> None:
+    """Turn the normals of those rays that are of the other side."""
+    if translucency is not None:
+        for k in range(asking):
+            crosses, scratch.u[k] = side_of(scratch.share[k], scratch.u[k])
+            if crosses:
+                put_column(scratch.rays.directions, k, negate(column(scratch.rays.directions, k)))
 
 
 @device
@@ -175,6 +195,7 @@ def _occlusion(
                     if asks:
                         # Its direction is the normal until `_draw_directions` has drawn one.
                         put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
+                        _keep_share(scene.materials.translucency, asking, surface, scratch)
                         scratch.lane[asking] = waiting
                         scratch.key[asking] = scratch.pixel[i]
                         scratch.sample[asking] = sample

@@ -2,6 +2,9 @@
 
 Photons after roulette estimate the total irradiance `E_all`: light that arrives straight and light that was scattered,
 diffusely with albedo color (1 - gloss), any number of times. `first-hit` means the straight part alone.
+
+Where a surface is translucent E is `(1 - s) E(n) + s E(-n)`: light is sampled on both sides, photons are gathered on
+both, and a path goes on to one of them, with its share.
 """
 
 from collections.abc import Callable
@@ -15,17 +18,17 @@ from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.packets import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights import sample_light
-from termwise.renderer.material import diffuse_weight
+from termwise.renderer.material import diffuse_weight, scattered
 from termwise.renderer.photon_map import PhotonMap, estimate_irradiance
 from termwise.renderer.photon_search import nearest_irradiance
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
-from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of, trace
+from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of, trace, turned
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
 from termwise.renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, put, scale, to_world
-from termwise.renderer.warp import INV_PI, square_to_cosine_hemisphere
+from termwise.renderer.warp import INV_PI
 from termwise.scenes import limits
 from termwise.scenes.limits import Kernel, Limit
 from termwise.scenes.model import Scene
@@ -38,8 +41,30 @@ _PATH = 64  # keys of a path's vertices: beyond the pairs above
 
 @device
 def light_irradiance(scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch) -> Vec3:
-    """E / pi at a surface, one sample; uses the pair `dimension`."""
+    """E / pi of both sides of a surface, one sample; uses the pair `dimension`."""
     u, v = sample_2d(sampler, dimension)
+    return _light(scene, scene.materials.translucency, surface, u, v, scratch)
+
+
+@device
+def _of_both(front: Vec3, back: Vec3, share: float) -> Vec3:
+    """What a side receives, and the other one, which has a share of it."""
+    return mad(back, share, scale(front, 1.0 - share))
+
+
+@device
+def _light(
+    scene: SceneArrays, translucency: np.ndarray | None, surface: Surface, u: float, v: float, scratch: Scratch
+) -> Vec3:
+    front = _light_of_side(scene, surface, u, v, scratch)
+    if translucency is not None and translucency[surface.object] > 0.0:
+        back = _light_of_side(scene, turned(surface), u, v, scratch)
+        return _of_both(front, back, translucency[surface.object])
+    return front
+
+
+@device
+def _light_of_side(scene: SceneArrays, surface: Surface, u: float, v: float, scratch: Scratch) -> Vec3:
     irradiance, direction, target = sample_light(scene, surface, u, v)
     if scene.skips.horizon and is_black(irradiance):
         return irradiance
@@ -60,7 +85,44 @@ def direct_next_event(
     if scene.skips.diffuse and is_black(weight):
         return weight
     straight = light_irradiance(scene, surface, sampler, LIGHT, scratch)
-    return _reflected(scene, surface, straight, estimate_irradiance(scene, photons, surface, scratch))
+    return _reflected(scene, surface, straight, density_irradiance(scene, photons, surface, scratch))
+
+
+@device
+def density_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface, scratch: Scratch) -> Vec3:
+    """E of both sides of a surface by the kernel of a photon map."""
+    return _density(scene, scene.materials.translucency, photons, surface, scratch)
+
+
+@device
+def _density(
+    scene: SceneArrays, translucency: np.ndarray | None, photons: PhotonMap, surface: Surface, scratch: Scratch
+) -> Vec3:
+    front = estimate_irradiance(scene, photons, surface, scratch)
+    if translucency is not None and translucency[surface.object] > 0.0:
+        back = estimate_irradiance(scene, photons, turned(surface), scratch)
+        return _of_both(front, back, translucency[surface.object])
+    return front
+
+
+@device
+def _by_nearest_of_both(
+    scene: SceneArrays,
+    translucency: np.ndarray | None,
+    photons: PhotonMap,
+    surface: Surface,
+    heap: np.ndarray,
+    chosen: np.ndarray,
+    scratch: Scratch,
+) -> Vec3:
+    """E of both sides of a surface, of each by its k nearest photons."""
+    scratch.counts[DENSITY_ESTIMATES] += 1
+    front = nearest_irradiance(photons, surface, len(heap), heap, chosen)
+    if translucency is not None and translucency[surface.object] > 0.0:
+        scratch.counts[DENSITY_ESTIMATES] += 1
+        back = nearest_irradiance(photons, turned(surface), len(heap), heap, chosen)
+        return _of_both(front, back, translucency[surface.object])
+    return front
 
 
 @device
@@ -85,7 +147,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
     while True:
         radiance = add(radiance, mul(throughput, light_irradiance(scene, surface, sampler, LIGHT, scratch)))
         u, v = sample_2d(sampler, BOUNCE)
-        direction = to_world(frame(surface.normal), square_to_cosine_hemisphere(u, v))
+        direction = to_world(frame(surface.normal), scattered(scene.materials.translucency, surface, u, v))
         surface = trace(scene, make_ray(surface.point, direction), surface.face, scratch)
         if surface.face < 0:
             break
@@ -113,8 +175,8 @@ def direct_nearest(
     weight = diffuse_weight(scene, surface)
     if scene.skips.diffuse and is_black(weight):
         return weight
-    scratch.counts[DENSITY_ESTIMATES] += 1
-    irradiance = nearest_irradiance(photons, surface, len(heap), heap, chosen)
+    translucency = scene.materials.translucency
+    irradiance = _by_nearest_of_both(scene, translucency, photons, surface, heap, chosen, scratch)
     return scale(mul(weight, irradiance), factor * INV_PI * scene.irradiance_factor)
 
 
@@ -133,11 +195,56 @@ def _draw_light_points(scene: SceneArrays, count: int, scratch: Scratch) -> None
             scratch.u[SIZE * k + i], scratch.v[SIZE * k + i] = sample_2d(sampler, LIGHT)
 
 
+@device
+def _lanes(scene: SceneArrays, translucency: np.ndarray | None) -> int:
+    """The most shadow rays of a primary hit."""
+    if translucency is None:
+        return scene.light_samples
+    return 2 * scene.light_samples
+
+
+@device
+def _of_front(translucency: np.ndarray | None, surface: Surface, straight: Vec3) -> Vec3:
+    """What a surface receives on the viewer's side, times that side's share."""
+    if translucency is None:
+        return straight
+    return scale(straight, 1.0 - translucency[surface.object])
+
+
+@device
+def _ask_back(
+    scene: SceneArrays,
+    translucency: np.ndarray | None,
+    surface: Surface,
+    k: int,
+    x: int,
+    waiting: int,
+    asking: int,
+    scratch: Scratch,
+) -> tuple[int, int]:
+    """Light sample k on the other side of a surface, as one more that waits; how many wait and ask then."""
+    if translucency is None or translucency[surface.object] == 0.0:
+        return waiting, asking
+    share = translucency[surface.object] / scene.light_samples
+    straight, direction, target = sample_light(scene, turned(surface), scratch.u[k], scratch.v[k])
+    scratch.column[waiting] = x
+    nothing = Vec3(0.0, 0.0, 0.0)
+    put(scratch.radiance, waiting, scale(_reflected(scene, surface, straight, nothing), share))
+    put(scratch.hidden, waiting, nothing)
+    if not (scene.skips.horizon and is_black(straight)):
+        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
+        scratch.lane[asking] = waiting
+        asking += 1
+    return waiting + 1, asking
+
+
 @kernel
 def _next_event(
     scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
 ) -> None:
     share = 1.0 / scene.light_samples
+    translucency = scene.materials.translucency
+    lanes = _lanes(scene, translucency)
     hits = no_hits()
     while True:
         hits = next_hits(scene, key, work, hits, scratch)
@@ -153,11 +260,12 @@ def _next_event(
                 and not (scene.skips.diffuse and is_black(diffuse_weight(scene, surface)))
                 and not shadowed(scene, surface, scratch)
             ):
-                scattered = estimate_irradiance(scene, photons, surface, scratch)
-                hidden = scale(_reflected(scene, surface, Vec3(0.0, 0.0, 0.0), scattered), share)
+                bounced = density_irradiance(scene, photons, surface, scratch)
+                hidden = scale(_reflected(scene, surface, Vec3(0.0, 0.0, 0.0), bounced), share)
                 for k in range(i, scene.light_samples * SIZE, SIZE):
                     straight, direction, target = sample_light(scene, surface, scratch.u[k], scratch.v[k])
-                    radiance = scale(_reflected(scene, surface, straight, scattered), share)
+                    straight = _of_front(translucency, surface, straight)
+                    radiance = scale(_reflected(scene, surface, straight, bounced), share)
                     scratch.column[waiting] = scratch.x[i]
                     put(scratch.radiance, waiting, radiance)
                     put(scratch.hidden, waiting, hidden)
@@ -166,7 +274,8 @@ def _next_event(
                         scratch.lane[asking] = waiting
                         asking += 1
                     waiting += 1
-            if waiting + scene.light_samples > SIZE or i + 1 == hits.count:
+                    waiting, asking = _ask_back(scene, translucency, surface, k, scratch.x[i], waiting, asking, scratch)
+            if waiting + lanes > SIZE or i + 1 == hits.count:
                 resolve_occlusion(scene, waiting, asking, 1.0, True, hits.y, out, scratch)
                 waiting = 0
                 asking = 0
@@ -200,7 +309,7 @@ def _photon_map(
             if surface.face >= 0 and not shadowed(scene, surface, scratch):
                 weight = diffuse_weight(scene, surface)
                 if not (scene.skips.diffuse and is_black(weight)):
-                    irradiance = estimate_irradiance(scene, photons, surface, scratch)
+                    irradiance = density_irradiance(scene, photons, surface, scratch)
                     radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
                     accumulate(out, hits.y, scratch.x[i], radiance)
 

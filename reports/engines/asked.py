@@ -90,6 +90,7 @@ def _lit_by(described: dict[str, Any], kind: str) -> bool:
 FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
     "diffuse": lambda d: any(any(o["material"]["color"]) and o["material"]["gloss"] < 1 for o in d["objects"]),
     "glossy": lambda d: any(o["material"]["gloss"] > 0 for o in d["objects"]),
+    "translucent": lambda d: any("translucency" in o["material"] for o in d["objects"]),
     "smooth": lambda d: any(o["normals"] is not None for o in d["objects"]),
     "area": lambda d: any(any(o["emission"]) for o in d["objects"]),
     "reflecting-lamp": lambda d: any(

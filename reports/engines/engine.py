@@ -29,6 +29,7 @@ Format = Literal["neutral", "mitsuba", "gltf", "pbrt", "termwise"]
 Feature = Literal[
     "diffuse",
     "glossy",
+    "translucent",
     "smooth",
     "area",
     "reflecting-lamp",

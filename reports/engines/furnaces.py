@@ -4,14 +4,15 @@
 |---|---|
 | closed box, every face of albedo rho and emission e | e / (1 - rho); e (1 + rho) where light scatters once |
 | sphere (convex) of albedo rho under a sky L | rho L |
+| such a sphere, hollow, through which the share s goes | rho ((1 - s) L + s B), B = rho s L / (1 - rho (1 - s)) |
 | open box of albedo 1 under a sky L | L, on all surfaces and beside them |
 | plate of albedo rho below a rectangle that radiates L | rho E / pi, `E = L/2 sum_k theta_k n.Gamma_k` (Lambert) |
 | plate of albedo rho below a point of intensity I | rho I cos / (pi d²) |
 
-theta_k is the angle that the k-th edge of the lamp is seen under, Gamma_k the unit normal of the plane through edge and
-point; the plate and the lamp, which is black, do not light each other. Pixels are means over their area by a rule of
-Gauss and Legendre. Emission and albedo together are said in these neutral descriptions alone: our model's lamps are
-black.
+B is the radiance of the inside. theta_k is the angle that the k-th edge of the lamp is seen under, Gamma_k the unit
+normal of the plane through edge and point; the plate and the lamp, which is black, do not light each other. Pixels are
+means over their area by a rule of Gauss and Legendre. Emission and albedo together are said in these neutral
+descriptions alone: our model's lamps are black.
 """
 
 from collections.abc import Callable
@@ -52,6 +53,7 @@ def furnaces() -> list[Furnace]:
     return [
         _sphere(_MIXED),
         _sphere(_BRIGHT),
+        _lantern(_BRIGHT, 0.4),
         _open_box(),
         _closed_box(_MIXED, (1.0, 0.5, 0.25)),
         _closed_box(_BRIGHT, (0.25, 0.5, 1.0)),
@@ -83,6 +85,22 @@ def _sphere(albedo: Color) -> Furnace:
     )
     exact = np.array(albedo) * sky
     return Furnace(_asked(scene), _constant(tuple(exact)), "rho L, for a convex thing sees the sky alone")
+
+
+def _lantern(albedo: Color, share: float) -> Furnace:
+    """A sphere that light crosses, so near that it fills the picture."""
+    plain = _sphere(albedo).asked.scene
+    (ball,) = plain.objects
+    scene = attrs.evolve(
+        plain,
+        name=f"hollow sphere of albedo {_words(albedo)} and translucency {share:g} under a sky",
+        objects=(attrs.evolve(ball, material=Material(color=albedo, translucency=share)),),
+    )
+    rho, sky = np.array(albedo), np.array(scene.sky.color)
+    inside = rho * share * sky / (1.0 - rho * (1.0 - share))
+    exact = rho * ((1.0 - share) * sky + share * inside)
+    words = "rho ((1 - s) L + s B), B = rho s L / (1 - rho (1 - s)) within"
+    return Furnace(_asked(scene), _constant(tuple(exact.tolist())), words)
 
 
 def _open_box() -> Furnace:

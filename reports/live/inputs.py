@@ -173,6 +173,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                         [Input((*material, "roughness"), "roughness", "", "Beckmann α", 0.01, 1.5)],
                     ),
                     *_triple((*material, "f0"), "F0", "", "reflectance", "RGB", high=1.0),
+                    Input((*material, "translucency"), "translucency", "", "share that crosses", 0.0, 1.0),
                 ],
             )
 

@@ -11,7 +11,17 @@ from typing import Any
 
 from termwise.reference import backend
 from termwise.reports.bench.common import known, machine, positive
-from termwise.reports.stress import garbage, images, intersection, lights, photons, radiance, rounding, shading
+from termwise.reports.stress import (
+    garbage,
+    images,
+    intersection,
+    lights,
+    photons,
+    radiance,
+    rounding,
+    shading,
+    translucency,
+)
 from termwise.reports.stress.row import SIDES, Row
 from termwise.reports.stress.row import measure as measure_row
 
@@ -22,6 +32,7 @@ GROUPS: dict[str, ModuleType] = {
     "photons": photons,
     "lights": lights,
     "images": images,
+    "translucency": translucency,
     "rounding": rounding,
     "garbage": garbage,
 }

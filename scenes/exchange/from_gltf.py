@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import attrs
 import numpy as np
 import PIL.Image
 
@@ -20,7 +21,12 @@ from termwise.scenes.srgb import decoded
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _F0 = 0.04
 """Of a dielectric whose index of refraction is glTF's default, 1.5."""
-_KNOWN = {"KHR_materials_emissive_strength", "KHR_materials_specular", "KHR_materials_ior"}
+_KNOWN = {
+    "KHR_materials_diffuse_transmission",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_specular",
+    "KHR_materials_ior",
+}
 _TINY = 1e-4
 """Of a matrix whose columns should be orthogonal and of one length."""
 
@@ -83,7 +89,20 @@ def _primitive(found: Import, file: File, number: int, primitive: Any, points: n
         tint = file.accessor(attributes["COLOR_0"])[:, :3].mean(axis=0)
     used = file.item("materials", primitive["material"]) if "material" in primitive else {}
     material, emission = _material(found, file, used, f"material {used['name']!r}" if "name" in used else name, tint)
+    material = _translucent(found, used, name, material)
     found.add(name, points @ _UP.T, faces, material, normals=normals, emission=emission)
+
+
+def _translucent(found: Import, used: Any, name: str, material: Material) -> Material:
+    """The material with light that crosses it, of the one colour that it has."""
+    given = used.get("extensions", {}).get("KHR_materials_diffuse_transmission", {})
+    share = given.get("diffuseTransmissionFactor", 0.0)
+    for texture in ("diffuseTransmissionTexture", "diffuseTransmissionColorTexture"):
+        if texture in given:
+            found.instead(name, texture, "its factor alone")
+    if share > 0.0 and not np.allclose(given.get("diffuseTransmissionColorFactor", (1.0, 1.0, 1.0)), material.color):
+        found.instead(name, "diffuseTransmissionColorFactor", "the colour of the diffuse part")
+    return attrs.evolve(material, translucency=share)
 
 
 def _material(found: Import, file: File, used: Any, name: str, tint: np.ndarray) -> tuple[Material, Color]:

@@ -1,4 +1,4 @@
-"""GLB, that is glTF 2.0 in one file, with its extensions for lights, for emission above 1 and for no specular part.
+"""GLB, that is glTF 2.0 in one file, with its extensions for lights, emission above 1, translucency, no specular part.
 
 A unit of radiance is a nit: emission is `emissiveFactor * emissiveStrength`, a point's intensity is in candela. A
 surface without gloss is `metallicFactor` 0 under `specularFactor` 0, which is Lambert's. glTF's y is up: the scene's z
@@ -40,6 +40,7 @@ def write(scene: Scene, path: Path) -> list[str]:
     nodes[0]["children"] = list(range(1, len(nodes)))
     used = {"KHR_materials_specular": bool(objects), "KHR_materials_emissive_strength": content.strong}
     used["KHR_lights_punctual"] = bool(lights)
+    used["KHR_materials_diffuse_transmission"] = any("translucency" in o["material"] for o in described["objects"])
     width, height = described["film"]["resolution"]
     tangent = math.tan(math.radians(camera["horizontal_fov"]) / 2.0)
     found: dict[str, Any] = {
@@ -156,6 +157,11 @@ def _material(thing: dict[str, Any]) -> dict[str, Any]:
         "doubleSided": not any(thing["emission"]),
         "extensions": extensions,
     }
+    if "translucency" in material:
+        extensions["KHR_materials_diffuse_transmission"] = {
+            "diffuseTransmissionFactor": material["translucency"],
+            "diffuseTransmissionColorFactor": material["color"],
+        }
     if any(thing["emission"]):
         scaled = _scaled(thing["emission"], "emissiveFactor", "emissiveStrength")
         found["emissiveFactor"] = scaled["emissiveFactor"]

@@ -166,21 +166,42 @@ def _shape(root: ElementTree.Element, thing: dict[str, Any], name: str, folder: 
     shape = _plugin(root, "shape", "ply", id=name)
     _value(shape, "string", "filename", f"{folder}/{mesh}")
     _value(shape, "boolean", "face_normals", "true" if thing["normals"] is None else "false")
-    _bsdf(_plugin(shape, "bsdf", "twosided"), thing["material"], folder)
+    _bsdf(shape, thing["material"], folder)
     if any(thing["emission"]):
         _value(_plugin(shape, "emitter", "area"), "rgb", "radiance", _numbers(thing["emission"]))
 
 
+def _diffuse(parent: ElementTree.Element, share: float, color: Any, folder: str) -> None:
+    """The diffuse part; of `diff_trans`, 2 is all of it, and its transmitted part is Lambert's."""
+    if share:
+        parent = _plugin(parent, "bsdf", "blendbsdf")
+        _value(parent, "float", "weight", share)
+    stays = _plugin(parent, "bsdf", "twosided") if share else parent
+    _color(_plugin(stays, "bsdf", "diffuse"), "reflectance", color, folder)
+    if share:
+        crosses = _plugin(parent, "bsdf", "principledthin")
+        _color(crosses, "base_color", color, folder)
+        _value(crosses, "float", "diff_trans", 2.0)
+
+
+def _color(parent: ElementTree.Element, name: str, color: Any, folder: str) -> None:
+    """Three numbers or an image."""
+    if isinstance(color, dict):
+        _image(parent, name, color, folder)
+    else:
+        _value(parent, "rgb", name, _numbers(color))
+
+
 def _bsdf(parent: ElementTree.Element, material: dict[str, Any], folder: str) -> None:
+    share = material.get("translucency", 0.0)
+    if not share:
+        parent = _plugin(parent, "bsdf", "twosided")  # which takes nothing that lets light through
     if material["gloss"] != 0.0:
         parent = _plugin(parent, "bsdf", "blendbsdf")
         _number(parent, "weight", material["gloss"], folder)
-    diffuse = _plugin(parent, "bsdf", "diffuse")
-    if isinstance(material["color"], dict):
-        _image(diffuse, "reflectance", material["color"], folder)
-    else:
-        _value(diffuse, "rgb", "reflectance", _numbers(material["color"]))
+    _diffuse(parent, share, material["color"], folder)
     if material["gloss"] != 0.0:
+        parent = _plugin(parent, "bsdf", "twosided") if share else parent
         # A conductor without absorption is a dielectric seen from outside: f0 = ((n - 1) / (n + 1))².
         roots = [math.sqrt(min(f0, BRIGHT)) for f0 in material["f0"]]
         lobe = _plugin(parent, "bsdf", "roughconductor")

@@ -30,7 +30,8 @@ from termwise.scenes.model import (
 from termwise.scenes.store import write_atomically
 from termwise.scenes.textures import Texture, in_color
 
-FORMAT, VERSION, VERSION_OF_IMAGES = "termwise-neutral", 1, 2
+FORMAT, VERSION, LATER = "termwise-neutral", 1, 2
+"""The version is that of the oldest reader who understands the file: 2 with an image or what is translucent, else 1."""
 SUFFIX = ".json"
 SCHEMA = Path(__file__).with_name("neutral.schema.json")
 CONVENTIONS = {
@@ -46,6 +47,8 @@ CONVENTIONS = {
     "image": "in the place of a colour, or grey of a number, of a material: linear, bilinear between centres of "
     "texels, of the uv of the face's corners: (0, 0) is the lower left corner of the image, v upwards; beyond [0, 1] "
     "it repeats, or with wrap clamp its border goes on; a sample is the value at one point",
+    "translucency": "where a material has it, s: color is divided, (1 - s) color / pi for light of the viewer's side, "
+    "s color / pi for light of the other side, which crosses the surface; without, s is 0",
     "emission": "radiance that leaves the front of the faces; the back of a lamp is black, and neither side reflects",
     "point": "intensity is radiant intensity, radiance x area, per steradian: a surface at distance d that faces the "
     "light has the irradiance intensity / d^2",
@@ -62,9 +65,12 @@ CONVENTIONS = {
 
 
 def diffuse(scene: Scene) -> Scene:
-    """The scene with every gloss 0: what every format and renderer can say exactly."""
-    plain = [attrs.evolve(each, material=attrs.evolve(each.material, gloss=0.0)) for each in scene.objects]
-    return attrs.evolve(scene, objects=tuple(plain))
+    """The scene with every gloss and translucency 0: what every format and renderer can say exactly."""
+
+    def plain(thing: Object) -> Object:
+        return attrs.evolve(thing, material=attrs.evolve(thing.material, gloss=0.0, translucency=0.0))
+
+    return attrs.evolve(scene, objects=tuple(map(plain, scene.objects)))
 
 
 def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
@@ -78,11 +84,12 @@ def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
     right, up, forward = scene.camera.frame()
     lit = scene.toggles.lighting
     textured = bool(images_of(scene))
+    unused = {name for name, used in (("image", textured), ("translucency", bool(scene.translucent))) if not used}
     return {
         "format": FORMAT,
-        "version": VERSION_OF_IMAGES if textured else VERSION,
+        "version": LATER if textured or scene.translucent else VERSION,
         "name": scene.name,
-        "conventions": {name: text for name, text in CONVENTIONS.items() if textured or name != "image"},
+        "conventions": {name: text for name, text in CONVENTIONS.items() if name not in unused},
         "left_out": left_out(scene),
         "film": {"resolution": list(scene.resolution), "filter": "box", "first_row": "top"},
         "camera": {
@@ -128,12 +135,15 @@ def _said(value: Any) -> Any:
 def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
     surface = thing.surface if scene.toggles.reflections else attrs.evolve(thing.surface, gloss=0.0)
     mapped = {"uv": thing.mesh.uv.tolist()} if thing.mesh.uv is not None and surface.textures else {}
+    said = [field.name for field in attrs.fields(type(surface))]
+    if thing not in scene.translucent:
+        said.remove("translucency")
     return {
         "name": thing.name,
         "vertices": thing.mesh.vertices.tolist(),
         "faces": thing.mesh.faces.tolist(),
         "normals": None if thing.mesh.normals is None or thing.emits else thing.mesh.normals.tolist(),
-        "material": {field.name: _said(getattr(surface, field.name)) for field in attrs.fields(type(surface))},
+        "material": {name: _said(getattr(surface, name)) for name in said},
         "emission": list(thing.emission) if lit else [0.0, 0.0, 0.0],
         **mapped,
     }

@@ -73,6 +73,12 @@ def left_out(described: dict[str, Any]) -> list[str]:
         if thing["material"]["gloss"] > 0.0
     ]
     found += [
+        f"objects: {thing['name']!r}: translucency = {thing['material']['translucency']!r}: MTL has none: all of Kd "
+        "stays on its side"
+        for thing in described["objects"]
+        if "translucency" in thing["material"]
+    ]
+    found += [
         f"objects: {thing['name']!r}: emission: MTL does not say which side shines: that of the normals is meant"
         for thing in described["objects"]
         if any(thing["emission"])

@@ -127,13 +127,17 @@ def _object(thing: dict[str, Any]) -> list[str]:
 
 def _material(thing: dict[str, Any]) -> list[str]:
     material = thing["material"]
-    diffuse = f'"rgb reflectance" [ {_values(material["color"])} ]'
+    share = material.get("translucency", 0.0)
+    kept, crossing = ([part * color for color in material["color"]] for part in (1.0 - share, share))
+    kind, diffuse = "diffuse", f'"rgb reflectance" [ {_values(kept)} ]'
+    if share:
+        kind, diffuse = "diffusetransmission", f'{diffuse} "rgb transmittance" [ {_values(crossing)} ]'
     if material["gloss"] == 0.0:
-        return [f'  Material "diffuse" {diffuse}']
+        return [f'  Material "{kind}" {diffuse}']
     lobe = f'"rgb reflectance" [ {_values(material["f0"])} ] "float roughness" [ {material["roughness"]!r} ]'
     names = [_quoted(f"{thing['name']}: {part}") for part in ("diffuse", "lobe")]
     return [
-        f'  MakeNamedMaterial {names[0]} "string type" [ "diffuse" ] {diffuse}',
+        f'  MakeNamedMaterial {names[0]} "string type" [ "{kind}" ] {diffuse}',
         f'  MakeNamedMaterial {names[1]} "string type" [ "conductor" ] {lobe} "bool remaproughness" [ false ]',
         f'  Material "mix" "string materials" [ {" ".join(names)} ] "float amount" [ {material["gloss"]!r} ]',
     ]

@@ -105,6 +105,10 @@ IMAGES = Case("textured two_cubes", "ambient", "cosine", samples=64)
 GLOSSY_IMAGES = Case("textured glossy two_cubes", "direct", "path", samples=64)
 IMAGE_PHOTONS = Case("textured cornell_box_unshadowed", "direct", "photon-map", samples=16)
 ALL_LIGHTS = Case("lights", "direct", "path", samples=256)
+LEAF_AMBIENT = Case("leaf", "ambient", "cosine", samples=64)
+LEAF = Case("leaf", "direct", "path", samples=256)
+LEAF_SPLIT = Case("leaf", "direct", "next-event", samples=16)
+LEAF_PHOTONS = Case("leaf", "direct", "photon-map", samples=16)
 
 _AMBIENT = "renderer/terms/ambient.py"
 _DIRECT = "renderer/terms/direct.py"
@@ -117,6 +121,7 @@ _SUN = "renderer/lights/sun.py"
 _SPHERE = "renderer/lights/sphere.py"
 _DISTANT = "renderer/lights/distant.py"
 _ARRIVING = "renderer/lights/arriving.py"
+_MATERIAL = "renderer/material.py"
 _LOBE = "renderer/microfacet.py"
 _TRACING = "renderer/photon_tracing.py"
 _TILES = "renderer/engine.py"
@@ -704,6 +709,58 @@ PLANTS = (
         "renderer/sky_light.py",
         "density = 0.5 * (cosine + density_of_sky(scene, sky_map, origin, direction))",
         "density = cosine",
+    ),
+    # Light that crosses.
+    Plant("translucency: s for 1 - s", LEAF_AMBIENT, _MATERIAL, "crosses = u < share", "crosses = u < 1.0 - share"),
+    Plant(
+        "translucency: an open side taken for both",
+        LEAF_AMBIENT,
+        _MATERIAL,
+        "return sees and scene.materials.open[surface.object, 1 if front else 0]",
+        "return sees",
+    ),
+    Plant(
+        "translucency: light of both sides, as much of each",
+        LEAF,
+        _DIRECT,
+        "return mad(back, share, scale(front, 1.0 - share))",
+        "return mad(back, 0.5, scale(front, 0.5))",
+    ),
+    Plant(
+        "translucency: paths stay on their side",
+        LEAF,
+        _MATERIAL,
+        "return Vec3(local.x, local.y, -local.z) if crosses else local",
+        "return local",
+    ),
+    Plant(
+        "translucency: all of the light stays, and what crosses besides",
+        LEAF_SPLIT,
+        _DIRECT,
+        "return scale(straight, 1.0 - translucency[surface.object])",
+        "return straight",
+    ),
+    Plant(
+        "translucency: what crosses tinted twice",
+        LEAF_SPLIT,
+        _DIRECT,
+        "put(scratch.radiance, waiting, scale(_reflected(scene, surface, straight, nothing), share))",
+        "put(scratch.radiance, waiting, mul(scale(_reflected(scene, surface, straight, nothing), share),"
+        " diffuse_weight(scene, surface)))",
+    ),
+    Plant(
+        "translucency: photons of the back dropped",
+        LEAF_PHOTONS,
+        "renderer/surface.py",
+        "s.face, s.object, -s.side,",
+        "s.face, s.object, s.side,",
+    ),
+    Plant(
+        "translucency: photons stay on their side",
+        LEAF_PHOTONS,
+        _TRACING,
+        "wi = scattered(scene.materials.translucency, surface, u, v)",
+        "wi = scattered(0.0 * scene.materials.translucency, surface, u, v)",
     ),
     # Sky and camera.
     Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),

@@ -123,6 +123,20 @@ def test_an_export_comes_back(name: str, tmp_path: Path):
     np.testing.assert_allclose(found.camera.rays(film, aspect=found.aspect), expected, atol=1e-6)
 
 
+def test_light_that_crosses_comes_back(tmp_path: Path):
+    """Of a surface without gloss as it was, of a glossy one beside its lobe."""
+    given = small("leaf")
+    mitsuba.write(given, tmp_path / "there.xml")
+    with pytest.raises(FileError, match="leaf: roughconductor"):
+        load(tmp_path / "there.xml")
+    found = load(tmp_path / "there.xml", approximate=True)
+    assert len(found.substitutions) == 1
+    for mine, theirs in zip(found.objects, given.objects, strict=True):
+        for field in ("color", "gloss", "translucency"):
+            expected = getattr(theirs.surface, field)
+            np.testing.assert_allclose(getattr(mine.surface, field), expected, rtol=1e-6)
+
+
 def test_gloss_comes_back_listed(tmp_path: Path):
     given = small("cornell_box")
     mitsuba.write(given, tmp_path / "there.xml")

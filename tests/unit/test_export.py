@@ -451,6 +451,37 @@ def test_export_refuses_a_name_of_another_format(tmp_path: Path, capsys: pytest.
     assert list(tmp_path.iterdir()) == []
 
 
+def test_light_that_crosses_is_said_by_each_format(tmp_path: Path):
+    """Glossy too; a reader of the neutral file who does not know it is told by the version."""
+    ball, shard, lamp = scene().objects
+    crossed = [
+        attrs.evolve(each, material=attrs.evolve(each.material, translucency=0.25)) for each in (ball, shard, lamp)
+    ]
+    given = attrs.evolve(scene(), objects=tuple(crossed))
+    described = neutral.describe(given)
+    assert (described["version"], neutral.describe(scene())["version"]) == (2, 1)
+    assert [each["material"].get("translucency") for each in described["objects"]] == [0.25, 0.25, None]
+    assert not any("translucency" in each["material"] for each in neutral.describe(neutral.diffuse(given))["objects"])
+
+    gltf.write(given, tmp_path / "all.glb")
+    found = chunks(tmp_path / "all.glb")
+    name = "KHR_materials_diffuse_transmission"
+    assert name in found["extensionsUsed"]
+    first, second, third = (each["extensions"].get(name) for each in found["materials"])
+    assert first == {"diffuseTransmissionFactor": 0.25, "diffuseTransmissionColorFactor": [0.8, 0.3, 0.1]}
+    assert second == {"diffuseTransmissionFactor": 0.25, "diffuseTransmissionColorFactor": [0.25, 0.5, 0.75]}
+    assert third is None
+
+    parsed = written(given, tmp_path)
+    both = {"rgb reflectance": [0.1875, 0.375, 0.5625], "rgb transmittance": [0.0625, 0.125, 0.1875]}
+    assert ("Material", ["diffusetransmission"], both) in parsed
+    named = {arguments[0]: parameters for word, arguments, parameters in parsed if word == "MakeNamedMaterial"}
+    assert named["ball 1: diffuse"]["string type"] == ["diffusetransmission"]
+
+    missing = [line for line in obj.write(given, tmp_path / "all.obj") if "translucency = 0.25" in line]
+    assert [line.partition(":")[0] for line in missing] == ["objects", "objects"]
+
+
 def test_diffuse_is_exact_in_all_formats():
     """Of what they can say of surfaces: nothing of a material is listed, but that pbrt makes spectra of colours."""
     described = neutral.describe(neutral.diffuse(scene()))

@@ -76,6 +76,26 @@ def test_glb_comes_back_as_it_went(name: str, tmp_path: Path):
     assert found.draw_lights
 
 
+def test_light_that_crosses_comes_back(tmp_path: Path):
+    """Of another colour than the rest it has a stand-in."""
+    given = small("monkey")
+    given = attrs.evolve(
+        given,
+        objects=tuple(
+            attrs.evolve(each, material=Material((0.8, 0.35, 0.1), translucency=0.25)) for each in given.objects
+        ),
+    )
+    gltf.write(given, tmp_path / "there.glb")
+    found = load(tmp_path / "there.glb")
+    assert [each.material for each in found.objects] == [each.material for each in given.objects]
+    data = (tmp_path / "there.glb").read_bytes()
+    other = data.replace(b'"diffuseTransmissionColorFactor":[0.8,', b'"diffuseTransmissionColorFactor":[0.7,')
+    assert other != data
+    (tmp_path / "there.glb").write_bytes(other)
+    with pytest.raises(FileError, match="diffuseTransmissionColorFactor"):
+        load(tmp_path / "there.glb")
+
+
 @pytest.mark.parametrize("name", LIBRARY)
 def test_obj_comes_back_as_it_went(name: str, tmp_path: Path):
     given = neutral.diffuse(small(name))

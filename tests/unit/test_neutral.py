@@ -36,7 +36,8 @@ def test_written_files_are_of_the_published_schema(name: str, tmp_path: Path):
 @pytest.mark.parametrize(
     ("path", "value"),
     [
-        (("version",), 2),
+        (("version",), 3),
+        (("objects", 0, "material", "translucency"), 1.5),
         (("camera", "horizontal_fov"), 180.0),
         (("objects", 0, "material", "color"), [0.5, 0.5, 1.5]),
         (("objects", 0, "faces"), [[0, 1]]),

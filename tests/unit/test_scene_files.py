@@ -52,6 +52,11 @@ BAD = {
     "nan color": (GOOD + "color = [nan, 0.5, 0.5]\n", ["color = (nan, 0.5, 0.5)", "[0, 1]"]),
     "color above 1": (GOOD + "color = [0.5, 1.5, 0.5]\n", ["color = (0.5, 1.5, 0.5)", "[0, 1]"]),
     "inf emission": (GOOD + "emission = [inf, 1.0, 1.0]\n", ["emission = (inf, 1.0, 1.0)", "[0, inf)"]),
+    "translucency above 1": (GOOD + "translucency = 1.5\n", ["objects", "translucency = 1.5", "[0, 1]"]),
+    "translucency with normals of the face": (
+        'normals = "face"\n' + GOOD + "translucency = 0.5\n",
+        ["objects", "'a'", "translucency = 0.5", "allowed is 0", "normals = 'face'"],
+    ),
     "negative f0": (GOOD + "f0 = [-0.1, 0.0, 0.0]\n", ["f0 = (-0.1, 0.0, 0.0)", "[0, 1]"]),
     "color of two": (GOOD + "color = [0.5, 0.5]\n", ["color = [0.5, 0.5]", "a list of 3"]),
     "text for a number": (GOOD + 'gloss = "0.5"\n', ["gloss = '0.5'", "a number"]),
@@ -286,7 +291,15 @@ def test_library_loads(name):
 
 def test_the_names_of_the_library():
     """Their names are the product's vocabulary."""
-    assert library() == ("cornell_box", "cornell_box_unshadowed", "lights", "monkey", "smooth_monkey", "two_cubes")
+    assert library() == (
+        "cornell_box",
+        "cornell_box_unshadowed",
+        "leaf",
+        "lights",
+        "monkey",
+        "smooth_monkey",
+        "two_cubes",
+    )
 
 
 def test_the_two_boxes_differ_in_scope_alone():

@@ -29,7 +29,7 @@ from termwise.scenes.save import save
 
 def everything() -> Scene:
     """A scene in which no field that a file can hold has its default."""
-    ball = analytic.sphere_inside("ball", subdivisions=1, material=Material(), smooth=True)
+    ball = analytic.sphere_inside("ball", subdivisions=1, material=Material(translucency=0.125), smooth=True)
     corners = np.random.default_rng(1).normal(size=(5, 3))
     shard = Object("shard", Mesh.from_arrays(corners, [[0, 1, 2], [2, 3, 4]]), emission=(1.0, 0.1, 1 / 3))
     return Scene(

@@ -18,9 +18,20 @@ from termwise.renderer import microfacet
 from termwise.renderer.vector import Vec3
 from termwise.reports import cli, stress
 from termwise.reports.pages import stress as page
-from termwise.reports.stress import exact, garbage, intersection, lights, photons, radiance, rounding, shading, tracers
+from termwise.reports.stress import (
+    exact,
+    garbage,
+    intersection,
+    lights,
+    photons,
+    radiance,
+    rounding,
+    shading,
+    tracers,
+    translucency,
+)
 from termwise.reports.stress.row import Row, measure
-from termwise.scenes.analytic import plate
+from termwise.scenes.analytic import closed_box, plate
 from termwise.scenes.load import load
 from termwise.scenes.model import Camera, PointLight, Scene
 
@@ -216,6 +227,23 @@ def test_a_planted_fault_fails_a_row_of_lights(name, planted, monkeypatch):
     assert fails("lights", name)
 
 
+@pytest.mark.usefixtures("_fast")
+@pytest.mark.parametrize(
+    ("name", "function", "fault"),
+    [
+        ("sides, share 1e-09", "side_of", lambda given, found: (given[1] < np.float32(0.0), found[1])),
+        ("sides, share 0.5", "side_of", lambda given, found: (found[0], given[1])),
+        ("sheet, scale 1, share 1e-12, the side without the light", "_image", lambda _, found: found + 1e-13),
+        ("furnace, scale 1, share 0.5", "_image", lambda _, found: found * (1.0 - 2.0**-52)),
+        ("photons in a box, albedo 0.95, share 0.25", "closed_box", lambda _, found: closed_box(albedo=0.9)),
+    ],
+)
+def test_a_planted_fault_fails_a_row_of_translucency(name, function, fault, monkeypatch):
+    sound = getattr(translucency, function)
+    monkeypatch.setattr(translucency, function, lambda *given, **more: fault(given, sound(*given, **more)))
+    assert fails("translucency", name)
+
+
 def grazing() -> Scene:
     """A plate under a point light 1e-4 above its plane and beside it: cosines of 1e-5 to 1e-4."""
     floor = plate("floor", (-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
@@ -370,9 +398,7 @@ def test_a_crash_fails_the_row_and_is_told():
 
 
 def test_unknown_groups_and_rows_are_refused():
-    with pytest.raises(
-        ValueError, match="group = 'x': allowed are intersection, shading, radiance, photons, lights, rounding, garbage"
-    ):
+    with pytest.raises(ValueError, match=rf"group = 'x': allowed are {', '.join(stress.GROUPS)}$"):
         stress.measure(groups=("x",))
     with pytest.raises(ValueError, match="case = 'no such row'"):
         stress.measure(case="no such row")

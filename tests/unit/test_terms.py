@@ -176,6 +176,7 @@ TOUCHED = [
     ("objects.material.f0", (0.9, 0.9, 0.9), {}, "specular", None),
     ("objects.material.color", (0.1, 0.1, 0.1), {}, "ambient direct specular", None),
     ("objects.material.gloss", 0.9, {}, "ambient direct specular", None),
+    ("objects.material.translucency", 0.5, {}, "ambient direct specular", None),
     ("lights.intensity", (2.0, 2.0, 2.0), {}, "direct specular", None),
     ("lights.intensity", (2.0, 2.0, 2.0), DRAWN, "direct specular background", None),
     ("lights.position", (9.0, 2.0, 2.0), {}, "direct specular", None),

@@ -24,6 +24,7 @@ CHANGES = [
     (CUBES, (*GROUND, "roughness"), 0.3, ("specular",)),
     (CUBES, (*GROUND, "f0", 1), 0.3, ("specular",)),
     (CUBES, (*GROUND, "gloss"), 0.3, ("ambient", "direct", "specular")),
+    (CUBES, (*GROUND, "translucency"), 0.3, ("ambient", "direct", "specular")),
     (CUBES, ("scene", "objects", 3, "emission", 0), 9.0, ("direct", "specular")),
     (CUBES, ("scene", "toggles", "ambient_occlusion"), False, ("ambient", "specular")),
     (CUBES, ("scene", "camera", "fov"), 50.0, TERMS),
