@@ -103,6 +103,7 @@ SPHERE_PHOTONS = Case("sphere lights", "direct", "photon-map", samples=16)
 SKYLIT = Case("skylit two_cubes", "ambient", "cosine", samples=64)
 IMAGES = Case("textured two_cubes", "ambient", "cosine", samples=64)
 GLOSSY_IMAGES = Case("textured glossy two_cubes", "direct", "path", samples=64)
+GRAINED = Case("textured grained two_cubes", "specular", "vndf", samples=512)
 IMAGE_PHOTONS = Case("textured cornell_box_unshadowed", "direct", "photon-map", samples=16)
 ALL_LIGHTS = Case("lights", "direct", "path", samples=256)
 LEAF_AMBIENT = Case("leaf", "ambient", "cosine", samples=64)
@@ -215,7 +216,7 @@ PLANTS = (
         "diffuse weight without (1 - g)",
         DIRECT,
         "scenes/model.py",
-        "share = 1.0 - material.gloss if self.toggles.reflections else 1.0",
+        "share = 1.0 - least(material.gloss) if self.toggles.reflections else 1.0",
         "share = 1.0",
     ),
     Plant(
@@ -816,8 +817,22 @@ PLANTS = (
         "image: diffuse weight without (1 - g)",
         GLOSSY_IMAGES,
         "renderer/material.py",
-        "1.0 - materials.specular[surface.object]",
-        "1.0",
+        "scale(_color(materials, images, surface), 1.0 - _gloss(materials, images, surface))",
+        "_color(materials, images, surface)",
+    ),
+    Plant(
+        "image: the largest gloss everywhere",
+        GRAINED,
+        "renderer/material.py",
+        "number_at(images, images.gloss[surface.object], surface.face, surface.b1, surface.b2)",
+        "materials.specular[surface.object]",
+    ),
+    Plant(
+        "image: the largest roughness everywhere",
+        GRAINED,
+        "renderer/material.py",
+        "number_at(images, images.roughness[surface.object], surface.face, surface.b1, surface.b2)",
+        "materials.alpha[surface.object]",
     ),
     Plant(
         "image: no photons where it is black",

@@ -90,6 +90,12 @@ def _textured(scene: Scene) -> Scene:
     return attrs.evolve(scene, objects=tuple(map(laid, scene.objects)))
 
 
+def _grained(scene: Scene) -> Scene:
+    """Gloss and roughness as images, on what has an image already."""
+    values = np.random.default_rng(8).uniform(0.0, 0.6, (2, 3, 4))
+    return _material(gloss=Texture(values[0]), roughness=Texture(0.2 + values[1]), f0=(0.9, 0.6, 0.4))(scene)
+
+
 _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "glossy": _material(gloss=0.5, roughness=0.6, f0=(0.04, 0.04, 0.04)),
     "metal": _material(gloss=0.7, roughness=0.5, f0=(0.9, 0.9, 0.9)),
@@ -108,6 +114,7 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "skylit": lambda scene: attrs.evolve(scene, ambient=Ambient(source="sky")),
     "bright": lambda scene: attrs.evolve(scene, irradiance="E"),
     "textured": _textured,
+    "grained": _grained,
     "drawn": lambda scene: attrs.evolve(scene, draw_lights=True),
     "sharp": lambda scene: attrs.evolve(scene, photons=attrs.evolve(scene.photons, kernel="epanechnikov")),
 }
@@ -123,7 +130,8 @@ class Case:
         surfaces, `turned`: the first object's faces look the other way, `smooth`: vertex normals, `lamps`: more
         lights, `spot`, `directional`, `sun`, `sphere`: of all lights those alone, `wide`: a wide sun, `plain` and
         `panorama`: another sky, `skylit`: the sky is the ambient light, `shadowed` and `bright`: choices of the paper,
-        `drawn`: lights are seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces.
+        `drawn`: lights are seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces,
+        `grained`: and their gloss and roughness too.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.
