@@ -285,6 +285,10 @@ _UNEVEN = 0.01
 """Of the Kolmogorov-Smirnov test that the p-values of a map are uniform."""
 
 
+_FEW = 16
+"""So few p-values are spread evenly by chance, whatever they are."""
+
+
 def _of_tiles(size: dict[str, Any]) -> str:
     """What the tests of one size of tiles found, in a line."""
     what = f"tiles of {size['side']} px"
@@ -292,7 +296,7 @@ def _of_tiles(size: dict[str, Any]) -> str:
         return f"{what}: merged into those of {size['merged_into']} px (median skewness {size['skewness']:.2f})"
     found = f"{size['holm']} of {size['tested']} found by Holm, {size['benjamini_hochberg']} by Benjamini-Hochberg"
     text = f"{what}: {found}"
-    if size["uniform_p"] is None:
+    if size["uniform_p"] is None or size["tested"] < _FEW:
         return text
     if size["uniform_p"] >= _UNEVEN:
         return f"{text}; its p-values are spread evenly, as without a bias"

@@ -250,8 +250,9 @@ def measure(
     """
     ours = _side("images", images, layer, names)
     truth = _side("reference", reference, reference_layer, reference_names, exact=exact)
+    notes = [note for side in (ours, truth) if side.files is not None for note in side.files.notes]
     if ours.files is not None and truth.files is not None:
-        ours.files.check_window(truth.files)
+        notes += ours.files.beside(truth.files)
     places, inside = index_map(objects), mask_map(mask)
     statistics = accumulation.measure(
         ours.stack,
@@ -278,7 +279,7 @@ def measure(
         reference=mean_and_variance(truth.stack),
         samples=samples or ours.samples,
         seconds=ours.seconds,
-        notes=tuple(note for side in (ours, truth) if side.files is not None for note in side.files.notes),
+        notes=tuple(notes),
         settings={
             "resolution": [statistics.width, statistics.height],
             "replicates": statistics.replicates,

@@ -11,10 +11,14 @@ from termwise.reports.statistics.welch import Comparison
 
 EVERYWHERE = 0.5
 """Share of the lit tiles that must be seen to be off, the same way, for an error to be called everywhere."""
+HOPELESS = 1e5
+"""Times the samples that nobody takes."""
 _WIDESPREAD = 0.2
 """Share of the tiles, of which noise shows a twentieth, above which an error is of the picture, not of a place."""
 _SEEN = 2.0
 """Standard errors beyond which a tile is seen to be off: it names a place and proves nothing."""
+_UNEVEN = 0.1
+"""Share of the mean's error by which that of a tile must differ for the error to be called uneven there."""
 _CANCELLED = 1 / 3
 """Share of the differences of the tiles that are seen to be off below which their sum is no measure of them."""
 _BUT_FOR = "but for a few bright pixels, which are most of the mean: "
@@ -53,6 +57,8 @@ def _open(verdict: Verdict, statistics: Statistics) -> str:
     if verdict.samples_ratio <= 1:
         return f"not decided: {verdict.reasons[0]}" if verdict.reasons else "not decided"
     replicates = int(np.ceil(verdict.samples_ratio * statistics.replicates))
+    if verdict.samples_ratio > HOPELESS:
+        return f"too noisy to say, by {HOPELESS:.0e} times the samples too: do a few pixels hold all the light?"
     times = f"{float(f'{verdict.samples_ratio:.2g}'):g}"
     return f"too noisy to say: needs {times} times the samples, or {replicates} replicates a side"
 
@@ -100,9 +106,10 @@ def _where(verdict: Verdict, statistics: Statistics) -> str:
     if not lit.any():
         return "where the reference is black"
     off = (sign * tiles.bias > _SEEN * tiles.standard_error)[lit].mean()
-    # Relative to the tile: what one factor leaves.
-    rest = (tiles.ours - (1 + verdict.bias) * tiles.reference) / tiles.scale / tiles.standard_error
-    uneven = (np.abs(rest[lit]) > 2 * _SEEN).mean()
+    # Relative to the tile: what one factor, as well as it is known, leaves.
+    rest = np.abs(tiles.ours - (1 + verdict.bias) * tiles.reference) / tiles.scale
+    error = np.hypot(tiles.standard_error, verdict.standard_error * tiles.reference / tiles.scale)
+    uneven = ((rest > 2 * _SEEN * error) & (rest > _UNEVEN * abs(verdict.bias)))[lit].mean()
     if off >= EVERYWHERE and uneven < 0.1:
         return "everywhere"
     return f"most of all at {tile_words(verdict.tile)}" if uneven >= 0.1 or off < 0.1 else "on average"

@@ -47,6 +47,9 @@ from termwise.reports.statistics.verdict import (
 )
 from termwise.reports.statistics.welch import Comparison
 
+_SURE = 3.0
+"""Standard errors by which a tile's bias is lessened before tiles are compared by it."""
+
 
 def decide(
     statistics: Statistics,
@@ -265,7 +268,9 @@ def _invalid_values(statistics: Statistics) -> list[_Finding]:
 def _outside(
     comparison: Comparison, level: np.ndarray | float, limit: float, missing: bool = False
 ) -> tuple[np.ndarray, Callable[[int], str]]:
-    """Flat indices of the places that lie wholly outside ±limit, the surest first, and the words for one of them.
+    """Flat indices of the places that lie wholly outside ±limit, the largest first, and the words for one of them.
+
+    The largest is that whose interval is farthest from 0, so that noise does not choose it.
 
     `missing` chooses those that rare events may explain, which no replicate met: no proof.
     """
@@ -273,9 +278,10 @@ def _outside(
     level = np.broadcast_to(level, comparison.bias.shape).ravel()
     # Student's quantiles, which take their time, are above the normal law's.
     far = np.flatnonzero(excess > -scipy.special.ndtri(level.max() / 2))
-    order = far[np.argsort(-excess[far])]
-    places, level = comparison.at(order), level[order]
+    places, level = comparison.at(far), level[far]
     low, high = places.interval(level)
+    by_size = np.argsort(-np.maximum(low, -high))
+    order, places, level, low, high = far[by_size], places.at(by_size), level[by_size], low[by_size], high[by_size]
     explained = np.abs(places.bias) <= places.missing(level)
 
     def text(index: int) -> str:  # of a large image a million places may be outside, and two are named
@@ -347,7 +353,7 @@ def _places(statistics: Statistics) -> list[tuple[str, Comparison, Callable[[int
 def _place_errors(
     statistics: Statistics, level: float, *, missing: bool = False, tolerated: bool = False
 ) -> list[_Finding]:
-    """Rule 2c: of each family one finding, the surest place and how many there are. Or those proven to be tolerated."""
+    """Rule 2c: of each family one finding, the largest and how many there are. Or those proven to be tolerated."""
     limit = 0.0 if statistics.reference_is_zero else PLACE_LIMIT
     findings = []
     for name, comparison, words in _places(statistics):
@@ -359,12 +365,12 @@ def _place_errors(
         if not found.size:
             continue
         of, at = divmod(int(found[0]), count)
-        # Where luminance is off as well, that says more than the channel that is off most surely.
+        # Where luminance is off as well, that says more than the channel that is off most.
         if at in found:
             of = 0
         number = len(np.unique(found % count))
         place, words_of_it = f"{words(at)}{_of(of)}", interval(of * count + at)
-        findings.append(_Finding(f"{place}: {words_of_it}, the surest of {number} of {count} {name}", place))
+        findings.append(_Finding(f"{place}: {words_of_it}, the largest of {number} of {count} {name}", place))
     return findings
 
 
@@ -515,9 +521,9 @@ def _regions(statistics: Statistics, level: float | None, limit: float, outside:
 
 
 def _worst_tile(statistics: Statistics) -> tuple[int, int, int, int]:
-    """The 16-px tile whose bias is the most significant."""
+    """The 16-px tile that is off most, by what noise leaves of it."""
     tiles = statistics.tiles[PLACE_SIDE]
-    return _tile(statistics, int(np.argmax(np.max(np.abs(tiles.bias) / tiles.standard_error, axis=0))))
+    return _tile(statistics, int(np.argmax(np.max(np.abs(tiles.bias) - _SURE * tiles.standard_error, axis=0))))
 
 
 def _tile(statistics: Statistics, index: int) -> tuple[int, int, int, int]:

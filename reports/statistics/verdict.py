@@ -66,7 +66,7 @@ class Verdict:
     rms_bias, rms_bias_high : `sign(θ) sqrt(|θ|)` of luminance over 8-px tiles; the largest U of luminance, red, green
         and blue, its upper bound at 95 %, over all looks.
     place : where the error is proven, else where it is the most likely.
-    tile : x, y, width, height of the 16-px tile with the most significant bias.
+    tile : x, y, width, height of the 16-px tile that is off most, by what noise leaves of it.
     detectable_bias : smallest bias of the image's noisiest channel found in 80 % of runs.
     detectable_shape, detectable_border, detectable_window : the same for a root mean square over 8-px tiles, in the
         noisiest of luminance, red, green and blue; for the luminance of the noisiest of the outermost rows and columns;

@@ -114,7 +114,9 @@ def welch(
         return values[0] + shifted.mean(axis=0), np.asarray(variance)
 
     (mean, variance), (other, other_variance) = mean_and_variance(ours), mean_and_variance(reference)
-    sample = brightest / areas
+    scale = np.maximum(other, least)
+    # As bright as an event here, or as the brightest pixel where that is less.
+    sample = np.minimum(brightest, event * scale) / areas
     variance = _borrowed(mean, variance, other, sample / len(ours))
     if len(reference) > 1:
         other_variance = _borrowed(other, other_variance, mean, sample / len(reference))
@@ -125,7 +127,6 @@ def welch(
     dof = np.where(noiseless, len(ours) + len(reference) - 2, 1 / spread)
     rounding = ULP_FLOOR * np.spacing(other.astype(np.float32)) + quantum * other
     floor = np.hypot(TERM_FLOOR * term_mean, rounding)
-    scale = np.maximum(other, least)
     error = np.hypot(np.sqrt(both), floor) / scale
     bias = np.asarray((mean - other) / scale)
     # One exact image has missed nothing.

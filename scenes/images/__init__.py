@@ -13,7 +13,7 @@ import attrs
 import numpy as np
 
 from termwise.scenes.images import npy, openexr, pfm, radiance, tiff
-from termwise.scenes.images.image import LOSSY, Image, Window
+from termwise.scenes.images.image import GREY, LOSSY, Image, Window
 
 __all__ = ["LOSSY", "SUFFIXES", "Image", "Replicates", "Window", "read", "read_one", "replicates"]
 
@@ -75,7 +75,7 @@ def read(path: Path, layer: str | None = None) -> list[Image]:
                 f"{path}: is a {name} image, which holds what a screen shows, rounded, clipped and encoded, "
                 "not radiance: write OpenEXR (float, ZIP), NPY or PFM"
             )
-    if len(first) < 12:
+    if not first or any(magic.startswith(first[: len(magic)]) for magic in _READERS):
         raise ValueError(f"{path}: is cut short: it holds {len(first)} bytes: allowed are images ({ALLOWED})")
     raise ValueError(f"{path}: is no image of a kind that can be read: allowed are {ALLOWED}")
 
@@ -99,6 +99,8 @@ class Replicates:
     window : the display window of all.
     quantum : the coarsest rounding of any, see `Image.quantum`.
     notes : what was done to them, each once, behind the name of the first.
+    colors : of all, see `Image.colors`.
+    data : of the first, see `Image.data`.
     """
 
     pixels: np.ndarray
@@ -106,10 +108,29 @@ class Replicates:
     window: Window
     quantum: float
     notes: list[str]
+    colors: str
+    data: Window | None
 
-    def check_window(self, other: "Replicates") -> None:
-        """Refuse images of another display window: their pixels show other places."""
+    def beside(self, other: "Replicates") -> list[str]:
+        """What is to be said where these are compared with others.
+
+        Raises
+        ------
+        ValueError : their pixels show other places (display windows), or one side has colours and the other none.
+        """
         _same_window(self.names[0], self.window, other.names[0], other.window)
+        for grey, colored in ((self, other), (other, self)):
+            if grey.colors == GREY and colored.colors != GREY and not _is_grey(colored.pixels[0]):
+                raise ValueError(
+                    f"{grey.names[0]}: holds one channel, {colored.names[0]} has colours: allowed are equal ones: "
+                    "write R, G and B"
+                )
+        if self.data == other.data:
+            return []
+        where = [
+            f"{each.names[0]} holds {'all' if each.data is None else _places(each.data)}" for each in (self, other)
+        ]
+        return [f"data windows differ, and what lies outside is black: {where[0]}, {where[1]}"]
 
 
 def replicates(paths: Sequence[Path], layer: str | None = None) -> Replicates:
@@ -128,7 +149,7 @@ def replicates(paths: Sequence[Path], layer: str | None = None) -> Replicates:
     files = [each for given in paths for each in _files(given)]
     if not files:
         raise ValueError(f"no images given: allowed are {ALLOWED}, or folders of them")
-    names, windows, quantum, notes = [], [], 0.0, {}
+    names, first, quantum, notes = [], None, 0.0, {}
     pixels = np.empty((0, 0, 0, 3), np.float32)
     for number, path in enumerate(files):
         found = read(path, layer)
@@ -140,14 +161,20 @@ def replicates(paths: Sequence[Path], layer: str | None = None) -> Replicates:
             pixels = np.concatenate([pixels, np.empty((room - len(pixels), *pixels.shape[1:]), pixels.dtype)])
         for k, image in enumerate(found):
             names.append(str(path) if len(found) == 1 else f"{path}[{k}]")
-            windows.append(image.window)
-            _same_window(names[-1], image.window, names[0], windows[0])
+            first = first or image
+            _same_window(names[-1], image.window, names[0], first.window)
+            if image.colors != first.colors:
+                raise ValueError(
+                    f"{names[-1]}: its colours are {image.colors}, those of {names[0]} {first.colors}: allowed are "
+                    "replicates of equal settings"
+                )
             pixels[len(names) - 1] = image.pixels
             quantum = max(quantum, image.quantum)
             for note in image.notes:
                 notes.setdefault(note, []).append(names[-1])
     said = [f"{where[0]}{f' and {len(where) - 1} more' if where[1:] else ''}: {note}" for note, where in notes.items()]
-    return Replicates(pixels, names, windows[0], quantum, said)
+    assert first is not None
+    return Replicates(pixels, names, first.window, quantum, said, first.colors, first.data)
 
 
 def _files(path: Path) -> list[Path]:
@@ -174,6 +201,15 @@ def _same_window(name: str, window: Window, other_name: str, other: Window) -> N
             f"{name}: its picture (display window) is {_words(window)}, that of {other_name} {_words(other)}: "
             "allowed are equal ones"
         )
+
+
+def _is_grey(pixels: np.ndarray) -> bool:
+    return bool((pixels == pixels[..., :1]).all())
+
+
+def _places(window: Window) -> str:
+    left, top, right, bottom = window
+    return f"x {left}-{right}, y {top}-{bottom}"
 
 
 def _words(window: Window) -> str:

@@ -14,6 +14,8 @@ HALF = 2.0**-11
 HALF_NOTE = f"half floats: a value is known to {HALF:.2%}, and no bias below that is looked for"
 LOSSY = 2.0**-7
 """Of lossy compression with its usual settings: means over 8 px of noise came out wrong by up to so much, rms."""
+GREY, REC709_COLORS = "grey", "Rec. 709"
+"""What an image's numbers are."""
 LARGEST = 2**28
 """Pixels of the largest image that is read: beyond, a damaged header is more likely than a picture."""
 
@@ -32,12 +34,16 @@ class Image:
     window : the display window, H by W pixels; it begins at (0, 0) in formats without one.
     quantum : how far rounding may have moved a value, relative: 0 for float, 2⁻¹¹ for half.
     notes : what was done to the pixels, in words.
+    colors : what the file's numbers were: "grey" of one channel, "CIE XYZ", other chromaticities in words.
+    data : the part of the display window that the file holds, where that is less; what lies outside is black.
     """
 
     pixels: np.ndarray
     window: Window
     quantum: float = 0.0
     notes: tuple[str, ...] = ()
+    colors: str = REC709_COLORS
+    data: Window | None = None
 
     @classmethod
     def of_array(cls, path: Path, array: np.ndarray, notes: tuple[str, ...] = ()) -> "Image":
@@ -56,7 +62,8 @@ class Image:
         quantum = HALF if array.dtype.itemsize == 2 else 0.0
         kept = array.astype(np.float32 if array.dtype.itemsize <= 4 else np.float64, copy=False)
         rgb = np.repeat(kept, 3, axis=2) if kept.shape[2] == 1 else kept[..., :3]
-        return cls(rgb, (0, 0, rgb.shape[1] - 1, rgb.shape[0] - 1), quantum, notes)
+        colors = GREY if kept.shape[2] == 1 else REC709_COLORS
+        return cls(rgb, (0, 0, rgb.shape[1] - 1, rgb.shape[0] - 1), quantum, notes, colors)
 
 
 def check_size(path: Path, width: int, height: int) -> None:
@@ -72,8 +79,8 @@ def cut_short(path: Path, lacking: str) -> ValueError:
     return ValueError(f"{path}: is cut short: {lacking}: write or copy it again")
 
 
-def in_rec709(path: Path, pixels: np.ndarray, chromaticities: Sequence[float]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Pixels of other primaries as Rec. 709, and what was done.
+def in_rec709(path: Path, pixels: np.ndarray, chromaticities: Sequence[float]) -> tuple[np.ndarray, str]:
+    """Pixels of other primaries as Rec. 709, and what they were.
 
     `XYZ = P diag(P⁻¹ W) RGB`, with the primaries' (x, y, 1 - x - y) as the columns of P and the white W of luminance 1.
 
@@ -84,7 +91,7 @@ def in_rec709(path: Path, pixels: np.ndarray, chromaticities: Sequence[float]) -
     """
     given = np.array(chromaticities, np.float64)
     if np.allclose(given, REC709, atol=1e-4, rtol=0):
-        return pixels, ()
+        return pixels, REC709_COLORS
     words = ", ".join(f"{value:.4g}" for value in given)
     if not np.isfinite(given).all() or abs(np.linalg.det(_columns(given)[:, :3])) < 1e-6 or given[7] <= 0:
         raise ValueError(f"{path}: chromaticities ({words}) are those of no colour space: write linear Rec. 709")
@@ -96,7 +103,12 @@ def in_rec709(path: Path, pixels: np.ndarray, chromaticities: Sequence[float]) -
         )
     matrix = np.linalg.solve(_to_xyz(np.array(REC709)), _to_xyz(given))
     converted = (pixels @ matrix.T.astype(pixels.dtype)).astype(pixels.dtype, copy=False)
-    return converted, (f"converted to Rec. 709 from {'CIE XYZ' if is_xyz else f'chromaticities ({words})'}",)
+    return converted, "CIE XYZ" if is_xyz else f"chromaticities ({words})"
+
+
+def conversion(colors: str) -> tuple[str, ...]:
+    """The note of an image that was converted."""
+    return () if colors in (GREY, REC709_COLORS) else (f"converted to Rec. 709 from {colors}",)
 
 
 def _columns(chromaticities: np.ndarray) -> np.ndarray:

@@ -18,7 +18,19 @@ import numpy as np
 import OpenEXR
 
 from termwise.scenes.images import chunks
-from termwise.scenes.images.image import HALF, HALF_NOTE, LOSSY, REC709, Image, check_size, in_rec709, luminance_weights
+from termwise.scenes.images.image import (
+    GREY,
+    HALF,
+    HALF_NOTE,
+    LOSSY,
+    REC709,
+    Image,
+    Window,
+    check_size,
+    conversion,
+    in_rec709,
+    luminance_weights,
+)
 
 _WORDS = {"red": "r", "green": "g", "blue": "b"}
 _COLOURS = ("r", "g", "b"), ("y", "ry", "by"), ("x", "y", "z"), ("y",)
@@ -204,7 +216,7 @@ def _names(layer: _Layer) -> list[str]:
 def _image(path: Path, header: dict[str, Any], layer: _Layer, planes: list[np.ndarray]) -> Image:
     """Planes of the data window as Rec. 709 in the display window."""
     chromaticities = tuple(header.get("chromaticities", REC709))
-    notes: tuple[str, ...] = ()
+    colors = GREY
     inside = np.empty((*planes[0].shape, 3), np.float32)
     if layer.kind == ("y",):
         inside[:] = planes[0][..., None]
@@ -214,10 +226,10 @@ def _image(path: Path, header: dict[str, Any], layer: _Layer, planes: list[np.nd
     if layer.kind == ("y", "ry", "by"):
         inside = _of_chroma(inside, luminance_weights(chromaticities))
     if layer.kind != ("y",):
-        inside, notes = in_rec709(path, inside, chromaticities)
-    pixels, window, placed = _in_display_window(path, header, inside)
+        inside, colors = in_rec709(path, inside, chromaticities)
+    pixels, window, data, placed = _in_display_window(path, header, inside)
     quantum, rounded = _quantum(header, planes)
-    return Image(pixels, window, quantum, notes + placed + rounded)
+    return Image(pixels, window, quantum, conversion(colors) + placed + rounded, colors, data)
 
 
 def _of_chroma(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -229,14 +241,14 @@ def _of_chroma(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 def _in_display_window(
     path: Path, header: dict[str, Any], inside: np.ndarray
-) -> tuple[np.ndarray, tuple[int, int, int, int], tuple[str, ...]]:
+) -> tuple[np.ndarray, Window, Window | None, tuple[str, ...]]:
     (left, top), (right, bottom) = (each.tolist() for each in header["displayWindow"])
     window = left, top, right, bottom
     width, height = _size(header, "displayWindow")
     x, y = (at - start for at, start in zip(header["dataWindow"][0].tolist(), (left, top), strict=True))
     rows, columns = inside.shape[:2]
     if (x, y, columns, rows) == (0, 0, width, height):
-        return inside, window, ()
+        return inside, window, None, ()
     first_x, last_x = max(x, 0), min(x + columns, width)
     first_y, last_y = max(y, 0), min(y + rows, height)
     shared = max(last_x - first_x, 0) * max(last_y - first_y, 0)
@@ -245,11 +257,12 @@ def _in_display_window(
     pixels = np.zeros((height, width, 3), inside.dtype)
     pixels[first_y:last_y, first_x:last_x] = inside[first_y - y : last_y - y, first_x - x : last_x - x]
     black, left_out = height * width - shared, rows * columns - shared
+    data = (left + first_x, top + first_y, left + last_x - 1, top + last_y - 1) if black else None
     notes = (
         f"{black} pixels outside its data window are black" if black else "",
         f"{left_out} pixels outside its display window are left out" if left_out else "",
     )
-    return pixels, window, tuple(note for note in notes if note)
+    return pixels, window, data, tuple(note for note in notes if note)
 
 
 def _quantum(header: dict[str, Any], planes: list[np.ndarray]) -> tuple[float, tuple[str, ...]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from termwise.scenes.images.image import Image, check_size, cut_short, in_rec709
+from termwise.scenes.images.image import REC709_COLORS, Image, check_size, conversion, cut_short, in_rec709
 from termwise.scenes.numerals import reals
 
 MANTISSA = 2.0**-8
@@ -44,11 +44,11 @@ def read(path: Path, layer: str | None) -> list[Image]:
         pixels = pixels[::-1]
     if size[1][1:] == b"X":
         pixels = pixels.swapaxes(0, 1)
+    colors = REC709_COLORS
     if chromaticities:
-        pixels, converted = in_rec709(path, pixels, chromaticities)
-        notes += converted
+        pixels, colors = in_rec709(path, pixels, chromaticities)
     height, width = pixels.shape[:2]
-    return [Image(pixels, (0, 0, width - 1, height - 1), MANTISSA, notes)]
+    return [Image(pixels, (0, 0, width - 1, height - 1), MANTISSA, notes + conversion(colors), colors)]
 
 
 def _header(path: Path, text: bytes) -> tuple[np.ndarray, list[float], tuple[str, ...]]:

@@ -10,9 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import attrs
 import numpy as np
 
-from termwise.scenes.images.image import Image, check_size, cut_short, in_rec709
+from termwise.scenes.images.image import Image, check_size, conversion, cut_short, in_rec709
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
@@ -54,8 +55,8 @@ def read(path: Path, layer: str | None) -> list[Image]:
     if white is None or primaries is None:
         raise ValueError(f"{path}: says its white or its primaries alone: allowed are both or none")
     fractions = np.array([*primaries, *white], np.float64).reshape(-1, 2)
-    pixels, notes = in_rec709(path, image.pixels, (fractions[:, 0] / fractions[:, 1]).tolist())
-    return [Image(pixels, image.window, image.quantum, notes)]
+    pixels, colors = in_rec709(path, image.pixels, (fractions[:, 0] / fractions[:, 1]).tolist())
+    return [attrs.evolve(image, pixels=pixels, notes=image.notes + conversion(colors), colors=colors)]
 
 
 @contextlib.contextmanager

@@ -238,7 +238,7 @@ def test_unequal_display_windows_are_refused(tmp_path: Path):
     with pytest.raises(ValueError, match=r"b.exr: its picture .* is 30 x 20 at \(5, 6\), that of .*a.exr 30 x 20:"):
         images.replicates([here, there])
     with pytest.raises(ValueError, match=r"is 30 x 20 at \(5, 6\)"):
-        images.replicates([there]).check_window(images.replicates([here]))
+        images.replicates([there]).beside(images.replicates([here]))
 
 
 @pytest.mark.parametrize("space", ["ITU-R BT.2020", "Display P3"])

@@ -247,7 +247,7 @@ def test_words_are_made_for_what_is_named_alone(rng, replicates, picture, monkey
     counted = lambda value: made.append(value) or percent(value)  # noqa: E731
     monkeypatch.setattr("termwise.reports.statistics.rule.percent", counted)
     verdict = decide(statistics, tests=9)
-    assert "the surest of 529 of 529 8-px windows" in " ".join(verdict.reasons)
+    assert "the largest of 529 of 529 8-px windows" in " ".join(verdict.reasons)
     assert 0 < len(made) < 100
 
 
