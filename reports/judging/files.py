@@ -33,6 +33,8 @@ def index_image(path: Path) -> np.ndarray:
 def mask_image(path: Path) -> np.ndarray:
     """Pixels that are compared, (H, W) bool: where any channel is above 0."""
     values = _planes(path)
+    if not np.isfinite(values).all():
+        raise ValueError(f"{path}: holds values that are not finite: allowed are numbers, 0 where nothing counts")
     return np.any(values > 0, axis=2) if values.ndim == 3 else values > 0
 
 

@@ -200,7 +200,7 @@ def measure(
             list(compared)
 
     warnings = equality.warnings(called, count, noiseless)
-    warnings += _few("ours", count) + ([] if exact else _few("the reference", len(reference)))
+    warnings += _few({"ours": count} if exact else {"ours": count, "the reference": len(reference)})
     reference_is_zero = bool(equality.zero[count:].all())
     term_mean = sums.term_mean(reference_is_zero, scale)
     if not term_mean > 0:
@@ -255,10 +255,11 @@ def _named(objects: np.ndarray, names: Sequence[str]) -> list[str]:
     return [str(names[i]) if i < len(names) else f"object {i}" for i in objects]
 
 
-def _few(side: str, count: int) -> list[str]:
-    if count >= REPLICATES_WANTED:
+def _few(sides: dict[str, int]) -> list[str]:
+    few = [f"{count} of {side}" for side, count in sides.items() if count < REPLICATES_WANTED]
+    if not few:
         return []
-    return [f"{count} replicates of {side}: fewer than {REPLICATES_WANTED}, intervals are wide and less sure"]
+    return [f"replicates: {' and '.join(few)}: fewer than {REPLICATES_WANTED}, intervals are wide and less sure"]
 
 
 class _Sums:

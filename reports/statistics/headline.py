@@ -66,7 +66,8 @@ def _open(verdict: Verdict, statistics: Statistics) -> str:
 def _proven(verdict: Verdict, statistics: Statistics) -> str:
     if statistics.invalid:
         counts = [(statistics.non_finite, "NaN or infinite"), (statistics.negative, "negative")]
-        return f"{' and '.join(f'{n} values {what}' for n, what in counts if n)}, the first at {verdict.place}"
+        said = " and ".join(f"{n} value{'s' if n > 1 else ''} {what}" for n, what in counts if n)
+        return f"{said}, the first at {verdict.place} of {statistics.invalid[0].name}"
     limit = 0.0 if statistics.reference_is_zero else TOLERATED_BIAS + verdict.allowance
     if (rest := _apart(verdict, statistics)) is not None:
         return f"{_BUT_FOR}{_off(sum(rest) / 2)}"

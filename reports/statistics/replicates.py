@@ -108,9 +108,13 @@ def quantities(channels: np.ndarray) -> np.ndarray:
 
 @attrs.frozen
 class InvalidPixel:
-    """A value that no radiance can have, and where it stands (index into the replicates, row y, column x)."""
+    """A value that no radiance can have, and where it stands (index into the replicates, row y, column x).
+
+    `name` is what messages call the replicate.
+    """
 
     replicate: int
+    name: str
     y: int
     x: int
     channel: str
@@ -148,23 +152,22 @@ class Invalid:
             return band
         ours, reference = band[: self.count], band[self.count :]
         if wrong[self.count :].any():
-            first = _pixels(reference, wrong[self.count :], top)[0]
-            label = self.labels[self.count + first.replicate]
+            first = _pixels(reference, wrong[self.count :], top, self.labels[self.count :])[0]
             allowed = (
                 "finite" if self.allow_negative else "finite and ≥ 0 (a filter with negative lobes: --allow-negative)"
             )
-            raise ValueError(f"{label}: {first}; a reference is {allowed}")
-        self.first += _pixels(ours, wrong[: self.count], top)
+            raise ValueError(f"{first.name}: {first}; a reference is {allowed}")
+        self.first += _pixels(ours, wrong[: self.count], top, self.labels)
         self.non_finite += int(np.count_nonzero(broken))
         self.negative += int(np.count_nonzero(wrong & ~broken))
         return np.where(broken, reference.mean(axis=0), band)
 
 
-def _pixels(band: np.ndarray, wrong: np.ndarray, top: int) -> list[InvalidPixel]:
+def _pixels(band: np.ndarray, wrong: np.ndarray, top: int, names: Sequence[str]) -> list[InvalidPixel]:
     """The first values marked."""
     at = np.unravel_index(np.flatnonzero(wrong)[:LISTED_PIXELS], wrong.shape)
     return [
-        InvalidPixel(k, top + y, x, CHANNELS[channel], float(band[k, y, x, channel]))
+        InvalidPixel(k, names[k], top + y, x, CHANNELS[channel], float(band[k, y, x, channel]))
         for k, y, x, channel in zip(*(each.tolist() for each in at), strict=True)
     ]
 

@@ -261,7 +261,7 @@ def _invalid_values(statistics: Statistics) -> list[_Finding]:
         return []
     first = statistics.invalid[0]
     counts = f"{statistics.non_finite} values not finite, {statistics.negative} negative"
-    text = f"{counts}, the first: {first} in replicate {first.replicate}"
+    text = f"{counts}, the first: {first} in {first.name}"
     return [_Finding(text, f"x {first.x}, y {first.y}")]
 
 

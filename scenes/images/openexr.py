@@ -155,7 +155,10 @@ def _chosen(path: Path, headers: list[dict[str, Any]], layer: str | None) -> _La
     ends = [name for name in layers if f".{name.lower()}".endswith(f".{layer.lower()}")]
     name = layer if layer in layers else ends[0] if len(ends) == 1 else None
     if name is None:
-        raise ValueError(f"{path}: layer = {layer!r}: allowed are {names}")
+        channels = [channel.name for header in headers for channel in header["channels"]]
+        colourless = any(f".{each.rpartition('.')[0]}".lower().endswith(f".{layer}".lower()) for each in channels)
+        what = " has no colours" if colourless else ""
+        raise ValueError(f"{path}: layer = {layer!r}{what}: allowed are {names}")
     return layers[name]
 
 

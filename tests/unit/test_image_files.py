@@ -241,6 +241,45 @@ def test_unequal_display_windows_are_refused(tmp_path: Path):
         images.replicates([there]).beside(images.replicates([here]))
 
 
+def test_unequal_data_windows_are_said(tmp_path: Path):
+    here, there = (windowed(tmp_path / f"{x}.exr", (x, 10), (0, 0, 63, 47)) for x in (20, 26))
+    one, other = images.replicates([here]), images.replicates([there])
+    (note,) = one.beside(other)
+    assert f"{here} holds x 20-49, y 10-29, {there} holds x 26-55, y 10-29" in note
+    assert one.beside(images.replicates([here])) == []
+
+
+def test_a_layer_without_colours_is_told_from_none(tmp_path: Path):
+    depth = RGB[..., 0].copy()
+    path = write(tmp_path / "a.exr", {"V.Depth.Z": depth, **{f"V.Combined.{c}": depth for c in "RGB"}})
+    refused(path, "layer = 'Depth' has no colours: allowed are 'V.Combined'", layer="Depth")
+    refused(path, "layer = 'Deep': allowed are 'V.Combined'", layer="Deep")
+
+
+def test_grey_is_not_compared_with_colours(tmp_path: Path):
+    colours = write(tmp_path / "a.exr", {"RGB": RGB})
+    grey = write(tmp_path / "b.exr", {"Y": RGB[..., 1].copy()})
+    np.save(tmp_path / "c.npy", RGB[..., 1])
+    for one_channel in (grey, tmp_path / "c.npy"):
+        for pair in ([one_channel, colours], [colours, one_channel]):
+            one, other = (images.replicates([path]) for path in pair)
+            with pytest.raises(ValueError, match="holds one channel, .* has colours: allowed are equal ones"):
+                one.beside(other)
+    np.save(tmp_path / "d.npy", RGB[..., 1:2].repeat(3, axis=2))  # three that are equal
+    assert images.replicates([grey]).beside(images.replicates([tmp_path / "d.npy"])) == []
+    with pytest.raises(ValueError, match=r"b.exr: its colours are grey, those of .*a.exr Rec. 709: allowed are"):
+        images.replicates([colours, grey])
+
+
+def test_replicates_of_other_primaries_are_refused(tmp_path: Path):
+    usual = write(tmp_path / "a.exr", {"RGB": RGB})
+    wide = write(
+        tmp_path / "b.exr", {"RGB": RGB}, chromaticities=(0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)
+    )
+    with pytest.raises(ValueError, match=r"b.exr: its colours are chromaticities \(0.708.*, those of .*a.exr Rec. 709"):
+        images.replicates([usual, wide])
+
+
 @pytest.mark.parametrize("space", ["ITU-R BT.2020", "Display P3"])
 def test_other_primaries_become_rec709(tmp_path: Path, space: str):
     there, ours = colour.RGB_COLOURSPACES[space], colour.RGB_COLOURSPACES["ITU-R BT.709"]

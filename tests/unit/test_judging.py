@@ -189,7 +189,59 @@ def test_other_verdicts_in_plain_words(draw: Draw):
     assert "nothing to compare" in termwise.judge(nothing, nothing).headline
     broken = draw()
     broken[3, 5, 6, 0] = np.nan
-    assert termwise.judge(broken, draw()).headline.startswith("1 values NaN or infinite, the first at x 6, y 5")
+    assert termwise.judge(broken, draw()).headline.endswith("1 value NaN or infinite, the first at x 6, y 5 of ours[3]")
+
+
+def test_one_factor_is_everywhere_beside_a_sky_without_noise(draw: Draw):
+    """Where nothing varies, the factor itself is known less well than its tiles."""
+    picture = np.where(Y[..., None] < 0.4, 0.7, PICTURE)
+
+    def drawn(gain: float) -> np.ndarray:
+        return gain * np.where(Y[..., None] < 0.4, picture, draw(picture))
+
+    assert termwise.judge(drawn(1.02), drawn(1.0)).headline == "2 % too bright, everywhere"
+
+
+def test_the_largest_error_is_named_and_not_the_surest(draw: Draw):
+    """Of two tiles the brighter one is off by less, and surely; the column at the border has nothing at all."""
+    picture = PICTURE.copy()
+    picture[0:16, 0:16] *= 1.05
+    picture[32:48, 16:32] *= 1.5
+    picture[:, -1] = 0.0
+    ours, reference = draw(picture), draw()
+    judged = termwise.judge(ours, reference, hint=False)
+    said = " ".join(judged.reasons)
+    assert f"right column (x {SIZE - 1}): -100.00%" in said
+    assert "tile x 16-31, y 32-47: +" in said
+    # One bright pixel is not what a place that is black lacks.
+    ours[:, 20, 20], reference[:, 20, 20] = 300.0, 300.0
+    assert "right column" in " ".join(termwise.judge(ours, reference, hint=False).reasons)
+
+
+def test_what_no_samples_help_is_not_counted_in_them(draw: Draw):
+    ours = draw()
+    ours[3, 5, 5] = 1e9
+    assert "do a few pixels hold all the light" in termwise.judge(ours, draw()).headline
+
+
+def test_files_are_named_where_they_do_not_fit(draw: Draw, tmp_path: Path):
+    for side in ("ours", "theirs"):
+        (tmp_path / side).mkdir()
+        for k, image in enumerate(draw().astype(np.float32)):
+            np.save(tmp_path / side / f"{k}.npy", image)
+    ours, theirs, mask = tmp_path / "ours", tmp_path / "theirs", tmp_path / "mask.npy"
+    with pytest.raises(ValueError, match=r"images and reference are the same files \(.*0.npy"):
+        termwise.judge(ours, ours)
+    np.save(mask, np.ones((8, 9)))
+    with pytest.raises(ValueError, match=rf"mask.npy: is 9 x 8 pixels: allowed are {SIZE} x {SIZE}"):
+        termwise.judge(ours, theirs, mask=mask)
+    np.save(mask, np.full((SIZE, SIZE), np.nan))
+    with pytest.raises(ValueError, match=r"mask.npy: holds values that are not finite"):
+        termwise.judge(ours, theirs, mask=mask)
+    broken = np.load(ours / "2.npy")
+    broken[4, 6] = np.nan
+    np.save(ours / "2.npy", broken)
+    assert termwise.judge(ours, theirs).headline.endswith(f"the first at x 6, y 4 of {ours / '2.npy'}")
 
 
 def test_the_samples_that_are_asked_for_suffice(draw: Draw):

@@ -474,7 +474,7 @@ def test_values_that_are_not_finite_are_a_bias(pair, value):
     verdict = judge(ours, reference)
     assert verdict.verdict == "BIASED"
     assert verdict.reasons[0].startswith("1 values not finite, 0 negative, the first: blue is")
-    assert "in replicate 5" in verdict.reasons[0]
+    assert "in ours[5]" in verdict.reasons[0]
     assert verdict.place == "x 7, y 20"
     assert "NaN" not in json.dumps(verdict.row()), "the rest is measured all the same"
 
@@ -540,7 +540,7 @@ def test_few_replicates(pair):
             measure(*arguments)
     with pytest.raises(ValueError, match="an exact reference is one image"):
         measure(ours, reference, exact=True)
-    assert any(warning.startswith("8 replicates of ours") for warning in measure(ours[:8], reference).warnings)
+    assert any(warning.startswith("replicates: 8 of ours: fewer") for warning in measure(ours[:8], reference).warnings)
     assert measure(ours, reference).warnings == ()
     assert "taken as exact" in judge(ours, reference[0].mean(axis=0) + 0 * reference[0], exact=True).sentence
 
