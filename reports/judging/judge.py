@@ -256,10 +256,10 @@ def measure(
     if ours.names and set(ours.names) == set(truth.names):
         raise ValueError(f"images and reference are the same files ({ours.names[0]}, ...): allowed are two renderings")
     places, inside = index_map(objects), mask_map(mask)
-    for given, found in ((objects, places), (mask, inside)):
+    for name, given, found in (("objects", objects, places), ("mask", mask, inside)):
         if isinstance(given, str | Path) and found is not None and found.shape != ours.stack.shape[1:3]:
             sizes = [f"{shape[1]} x {shape[0]}" for shape in (found.shape, ours.stack.shape[1:3])]
-            raise ValueError(f"{given}: is {sizes[0]} pixels: allowed are {sizes[1]}, those of the images")
+            raise ValueError(f"{name}: {given}: is {sizes[0]} pixels: allowed are {sizes[1]}, those of the images")
     statistics = accumulation.measure(
         ours.stack,
         truth.stack,
