@@ -8,14 +8,13 @@ from typing import Any
 
 import attrs
 import numpy as np
-import PIL.Image
 
 from termwise.scenes.exchange.imported import MIRROR, Import
 from termwise.scenes.meshes import obj
 from termwise.scenes.meshes.polygons import triangulate
 from termwise.scenes.model import BLACK, Color, Material, Scene
-from termwise.scenes.srgb import decoded
 from termwise.scenes.strict import FileError
+from termwise.scenes.textures import Texture, read_color
 
 _TRANSMITS = (4, 6, 7, 9)
 """Values of `illum` that mean glass or refraction."""
@@ -35,6 +34,8 @@ class _Look:
     illum: int | None = None
     opacity: float = 1.0
     maps: dict[str, Path] = attrs.Factory(dict)
+    altered: set[str] = attrs.Factory(set)
+    """Maps that are said with options."""
 
 
 def read(path: Path, *, approximate: bool) -> Scene:
@@ -44,6 +45,8 @@ def read(path: Path, *, approximate: bool) -> Scene:
     looks: dict[str, _Look] = {}
     for library in content.libraries:
         looks |= _library(path.parent / library)
+    if any("map_Kd" in look.maps for look in looks.values()):
+        content = obj.parse(path, mapped=True)
     pairs = [*zip(content.objects, content.materials, strict=True)]
     starts = np.cumsum(content.counts) - content.counts
     distinct = [*dict.fromkeys(pairs)]
@@ -71,8 +74,9 @@ def _object(
         raise FileError(f"{found.path}: usemtl {used}: no such material: allowed are {', '.join(looks) or 'none'}")
     if not used:
         found.assume(f"{name or 'what has no material'}: a diffuse surface of reflectance 0.8")
-    material, emission = _surface(found, looks[used]) if used else (Material(), BLACK)
-    points, shading = content.corners[corners], content.shading[corners]
+    points, shading, places = content.corners[corners], content.shading[corners], content.mapped[corners]
+    mapped = bool((places >= 0).all())
+    material, emission = _surface(found, looks[used], mapped) if used else (Material(), BLACK)
     smooth = bool((shading >= 0).all())
     if not smooth:
         if (shading >= 0).any():
@@ -81,14 +85,18 @@ def _object(
     # A vertex for each point with each of its normals.
     pairs, indices = np.unique(np.stack([points, shading], axis=1), axis=0, return_inverse=True)
     vertices = content.points[pairs[:, 0]]
-    faces = triangulate(vertices, indices.ravel(), counts)
-    found.add(
-        name, vertices, faces, material, normals=content.normals[pairs[:, 1]] if smooth else None, emission=emission
-    )
+    # By corners, for a vertex may lie in several places of an image.
+    triangles = triangulate(content.points[points], np.arange(len(points)), counts)
+    normals = content.normals[pairs[:, 1]] if smooth else None
+    uv = content.places[places[triangles]] if material.textures else None
+    found.add(name, vertices, indices.ravel()[triangles], material, normals=normals, emission=emission, uv=uv)
 
 
-def _surface(found: Import, look: _Look) -> tuple[Material, Color]:
-    """Surface and radiance of a material; Phong's lobe becomes one of Beckmann's of the same width and reflectance."""
+def _surface(found: Import, look: _Look, mapped: bool) -> tuple[Material, Color]:
+    """Surface and radiance of a material; Phong's lobe becomes one of Beckmann's of the same width and reflectance.
+
+    `mapped`: whether all corners have a place in an image.
+    """
     name = f"material {look.name!r}"
     if look.illum in _TRANSMITS:
         found.instead(name, f"illum {look.illum}, which transmits light", "an opaque surface")
@@ -96,32 +104,41 @@ def _surface(found: Import, look: _Look) -> tuple[Material, Color]:
         found.instead(name, f"an opacity of {look.opacity:g}", "an opaque surface")
     if look.Kd is None and not any(look.Ke) and "map_Kd" not in look.maps:
         found.assume(f"{name} is black, for it has no Kd")
+    # Three numbers, or as many for each texel.
     diffuse = np.array(look.Kd or ((1.0, 1.0, 1.0) if "map_Kd" in look.maps else BLACK))
     for feature, file in look.maps.items():
-        if feature == "map_Kd":
-            found.instead(name, feature, "its mean")
-            diffuse = diffuse * _mean(file)
+        if feature == "map_Kd" and mapped and feature not in look.altered:
+            diffuse = diffuse * _texels(file)
+        elif feature == "map_Kd":
+            found.instead(name, f"{feature} {'with options' if mapped else 'without vt at all corners'}", "its mean")
+            diffuse = diffuse * _texels(file).mean(axis=(0, 1))
         else:
             found.instead(name, feature, "the material without it")
-    color = tuple(diffuse.tolist())
     if not any(look.Ks) or look.illum in _PLAIN:
-        return Material(color, 0.0), look.Ke
+        return Material(_color(diffuse), 0.0), look.Ke
     gloss = max(look.Ks)
     found.instead(
         name, f"Phong's lobe, Ks {' '.join(map(str, look.Ks))}, Ns {look.Ns:g}", "Beckmann's of about its width"
     )
-    under = tuple(min(float(c) / (1.0 - gloss), 1.0) if gloss < 1.0 else 0.0 for c in color)
+    under = _color(np.minimum(diffuse / (1.0 - gloss), 1.0) if gloss < 1.0 else 0.0 * diffuse)
     alpha = float(np.clip(np.sqrt(2.0 / (look.Ns + 2.0)), MIRROR, 1.5))
     return Material(under, gloss, alpha, tuple(min(s / gloss, 1.0) for s in look.Ks)), look.Ke
 
 
-def _mean(path: Path) -> np.ndarray:
-    """Mean (3,) of an image's texels, which are encoded as sRGB; linear."""
+def _color(values: np.ndarray) -> Color | Texture:
+    """A colour, or an image of texels (H, W, 3)."""
+    if values.ndim == 3:
+        return Texture(values)
+    red, green, blue = values.tolist()
+    return red, green, blue
+
+
+def _texels(path: Path) -> np.ndarray:
+    """Of an image, (H, W, 3), linear."""
     try:
-        texels = np.asarray(PIL.Image.open(path).convert("RGB"), float) / 255.0
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return decoded(texels).mean(axis=(0, 1))
+        return read_color(path, None).astype(np.float64)
+    except ValueError as error:
+        raise FileError(f"{path}: {error}") from None
 
 
 def _library(path: Path) -> dict[str, _Look]:
@@ -159,3 +176,4 @@ def _property(look: _Look, path: Path, word: str, values: list[Any]) -> None:
         look.opacity = 1.0 - float(values[0])
     elif word.startswith("map_") or word in ("bump", "disp", "norm", "decal"):
         look.maps[word] = path.parent / values[-1]
+        look.altered |= {word} if len(values) > 1 else set()

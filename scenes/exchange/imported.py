@@ -11,7 +11,20 @@ from typing import Any
 import attrs
 import numpy as np
 
-from termwise.scenes.model import BLACK, Ambient, Camera, Color, Light, Material, Mesh, Object, Photons, Scene, Sky
+from termwise.scenes.model import (
+    BLACK,
+    Ambient,
+    Camera,
+    Color,
+    Light,
+    Material,
+    Mesh,
+    Object,
+    Photons,
+    Scene,
+    Sky,
+    largest,
+)
 from termwise.scenes.strict import FileError
 
 MIRROR = 0.01
@@ -85,6 +98,7 @@ class Import:
         *,
         normals: np.ndarray | None = None,
         emission: Color = BLACK,
+        uv: np.ndarray | None = None,
     ) -> None:
         """Add an object.
 
@@ -95,13 +109,14 @@ class Import:
         material : of its surface; with emission black, whatever it is.
         normals : (V, 3) shading normals of any length above 0, or None.
         emission : radiance.
+        uv : (F, 3, 2) where in an image the faces' corners lie, or None.
         """
         try:
-            mesh = Mesh.from_arrays(points, faces)
+            mesh = Mesh.from_arrays(points, faces, uv=uv)
         except ValueError as error:
             raise FileError(f"{self.path}: {name}: {error}") from None
         if any(emission):
-            if any(material.color) or material.gloss > 0.0:
+            if any(largest(material.color)) or largest(material.gloss) > 0.0:
                 self.instead(name, "a lamp that reflects", "a black one")
         elif normals is not None:
             mesh = self._smooth(name, mesh, normals)

@@ -334,6 +334,29 @@ def test_a_concave_polygon_keeps_the_places_of_its_corners(tmp_path: Path):
     np.testing.assert_allclose(uv, vertices[faces][..., :2] / 4)
 
 
+def test_a_scene_of_obj_has_its_images(tmp_path: Path):
+    """`map_Kd` times `Kd`; where it says more than a file, or corners lie nowhere, a mean may stand for it."""
+    png(tmp_path / "a.png")
+    library = "newmtl tiles\nKd 0.5 1 1\nmap_Kd a.png\n"
+    (tmp_path / "a.mtl").write_text(library)
+    for name, faces in (("mapped.obj", "f 1/1 2/2 3/3 4/4\n"), ("bare.obj", "f 1 2 3 4\n")):
+        write_obj(tmp_path / name, f"mtllib a.mtl\nusemtl tiles\n{faces}")
+    found = load(tmp_path / "mapped.obj").objects[0]
+    assert isinstance(found.material.color, Texture)
+    np.testing.assert_allclose(found.material.color.texels, SRGB * (0.5, 1.0, 1.0), rtol=1e-6)
+    np.testing.assert_allclose(found.mesh.uv, LIES[found.mesh.faces])
+    with pytest.raises(FileError, match="material 'tiles': map_Kd without vt at all corners: .* takes its mean"):
+        load(tmp_path / "bare.obj")
+    mean = load(tmp_path / "bare.obj", approximate=True).objects[0].material.color
+    np.testing.assert_allclose(mean, SRGB.mean(axis=(0, 1)) * (0.5, 1.0, 1.0), rtol=1e-6)
+    (tmp_path / "a.mtl").write_text(library.replace("map_Kd", "map_Kd -s 2 2 1"))
+    with pytest.raises(FileError, match="material 'tiles': map_Kd with options: .* takes its mean"):
+        load(tmp_path / "mapped.obj")
+    (tmp_path / "a.mtl").write_text(library.replace("a.png", "none.png"))
+    with pytest.raises(FileError, match=r"none.png: cannot be read: No such file"):
+        load(tmp_path / "mapped.obj")
+
+
 # Faces in one plane.
 
 
