@@ -233,8 +233,9 @@ def _check_angles(scene: Scene) -> None:
 def _check_images(scene: Scene) -> None:
     """Refuse an image of so many texels along a face that single precision cannot tell them apart."""
     for thing in scene.objects:
-        for name, image in thing.surface.textures.items():
-            along = np.ptp(_uv(thing), axis=1).max(axis=0) * image.texels.shape[1::-1]
+        places = _uv(thing)
+        for name, image in thing.surface.textures.items() if places is not None else ():
+            along = np.ptp(places, axis=1).max(axis=0) * image.texels.shape[1::-1]
             if along.max() > LONGEST:
                 raise ValueError(
                     f"{scene.name}: objects: {thing.name!r}: {name}: {along.max():.3g} texels lie along one face: "

@@ -67,7 +67,8 @@ def _numbers(images: list[Texture], values: list[object]) -> np.ndarray:
 @device
 def _along(place: float, size: int, repeats: bool) -> tuple[int, int, float]:
     """The texels on both sides of a place along an axis of [0, 1], and the share of the second."""
-    place = place - math.floor(place) if repeats else min(max(place, 0.0), 1.0)
+    # Not math.floor, which is an int64 in kernels: a place may be further away.
+    place = place - np.floor(place) if repeats else min(max(place, 0.0), 1.0)
     at = place * size - 0.5
     below = math.floor(at)
     low, high = int(below), int(below) + 1
@@ -125,14 +126,15 @@ def number_at(images: Textures, image: int, face: int, b1: float, b2: float) -> 
     """Number of an image of one channel at a point of a face."""
     at, first, t = _corners(images, image, face, b1, b2), images.first[image], images.texels
     upper = at.a * t[first + at.top_left] + at.b * t[first + at.top_right]
-    return upper + at.c * t[first + at.bottom_left] + at.d * t[first + at.bottom_right]
+    return upper + at.c * t[first + at.bottom_left] + at.d * t[first + at.bottom_right]  # type: ignore[return-value]
 
 
 @device
 def _channel(images: Textures, image: int, at: _Corners, channel: int) -> float:
     first, t = images.first[image] + channel, images.texels
     upper = at.a * t[first + 3 * at.top_left] + at.b * t[first + 3 * at.top_right]
-    return upper + at.c * t[first + 3 * at.bottom_left] + at.d * t[first + 3 * at.bottom_right]
+    lower = at.c * t[first + 3 * at.bottom_left] + at.d * t[first + 3 * at.bottom_right]
+    return upper + lower  # type: ignore[return-value]
 
 
 @device

@@ -42,7 +42,7 @@ def _texels(values: Any) -> np.ndarray:
     return texels
 
 
-def _wrap(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+def _wrap(_instance: Any, attribute: Any, value: Any) -> None:
     if value not in ("repeat", "clamp"):
         raise ValueError(f"{attribute.name} = {value!r}: allowed are 'repeat' and 'clamp'")
 
@@ -169,7 +169,7 @@ def _read(path: Path, encoding: Encoding | None) -> tuple[np.ndarray, Encoding]:
 def _shares(image: PIL.Image.Image, wide: bool) -> np.ndarray:
     """Values (H, W, 3) in [0, 1]; `wide`: of 16 bits."""
     if image.has_transparency_data:
-        if image.convert("RGBA").getextrema()[3][0] < 255:
+        if np.asarray(image.convert("RGBA"))[..., 3].min() < 255:
             raise ValueError("holds transparent texels, and a surface is opaque: allowed is an image without")
     elif image.mode not in ("1", "L", "P", "RGB", "I;16"):
         raise ValueError(f"holds {image.mode}: allowed are grey and RGB")

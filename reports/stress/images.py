@@ -22,7 +22,8 @@ from termwise.scenes.model import Material, Mesh, Object
 from termwise.scenes.textures import Texture, Wrap
 
 WRAPS: tuple[Wrap, ...] = ("repeat", "clamp")
-SIZES = (1, 1), (1, 8192), (8192, 1), (2, 2), (3, 5), (8192, 8192)
+SIZES = (1, 1), (1, 8192), (8192, 1), (2, 2), (3, 5)
+LARGE = 8192, 8192
 _UNIT = 2.0**-53
 _ENDS = (0.0, -0.0, 1.0, 0.5, 5e-324, 2.0**-149, 1.0 - 2.0**-24, 2.0**-24, -(2.0**-24), 1.0 + 2.0**-23)
 
@@ -40,8 +41,10 @@ def ours(texture: Texture, places: np.ndarray) -> np.ndarray:
     """(N, 3) at places (N, 2), each a face of its own whose corners all lie there."""
     uv = np.ascontiguousarray(np.repeat(places[:, None], 3, axis=1))
     height, width, _ = texture.texels.shape
-    of_one = (np.array([each], np.int64) for each in (0, width, height))
-    images = Textures(uv, np.zeros(1, np.int32), *of_one, np.array([texture.wrap == "repeat"]), texture.texels.ravel())
+    first, wide, high = (np.array([each], np.int64) for each in (0, width, height))
+    number, none = np.zeros(1, np.int32), np.full(1, -1, np.int32)
+    repeats = np.array([texture.wrap == "repeat"])
+    images = Textures(uv, number, none, none, first, wide, high, repeats, texture.texels.ravel())
     return np.array([color_at(images, 0, face, 0.0, 0.0) for face in range(len(places))])
 
 
@@ -110,7 +113,7 @@ def _places(count: int, reach: float, width: int, height: int) -> np.ndarray:
 def rows(count: int) -> Iterator[Row]:
     """Rows of the group."""
     figure = "largest error over its roundings"
-    for (width, height), wrap in itertools.product(SIZES, WRAPS):
+    for (width, height), wrap in (*itertools.product(SIZES, WRAPS), (LARGE, WRAPS[0])):
 
         def error(lookup: Lookup, width: int = width, height: int = height, wrap: Wrap = wrap) -> float:
             return excess(image(width, height, wrap), _places(count, 1.0, width, height), lookup)
@@ -138,8 +141,9 @@ def rows(count: int) -> Iterator[Row]:
 
         def outside(wrap: Wrap = wrap) -> float:
             texture = image(3, 5, wrap)
-            sizes = np.random.default_rng(33).uniform(-40.0, 38.0, (max(64, count // 4), 2))
-            places = (np.sign(sizes) * 10.0 ** np.abs(sizes)).astype(np.float32).astype(np.float64)
+            rng, shape = np.random.default_rng(33), (max(64, count // 4), 2)
+            sizes = rng.choice([-1.0, 1.0], shape) * 10.0 ** rng.uniform(-40.0, 38.0, shape)
+            places = sizes.astype(np.float32).astype(np.float64)
             found = ours(texture, places)
             slack = 8.0 * _UNIT
             good = (found >= np.array(texture.low) * (1 - slack)) & (found <= np.array(texture.high) * (1 + slack))

@@ -795,7 +795,7 @@ PLANTS = (
         "image: its border goes on where it repeats",
         IMAGES,
         _IMAGE,
-        "place = place - math.floor(place) if repeats else",
+        "place = place - np.floor(place) if repeats else",
         "place = min(max(place, 0.0), 1.0) if repeats else",
     ),
     Plant("image: the nearest texel", IMAGES, _IMAGE, "return low, high, at - below", "return low, high, 0.0"),
