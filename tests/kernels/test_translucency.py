@@ -27,6 +27,12 @@ WHITE = (1.0, 1.0, 1.0)
 SHARES = (0.0, 0.25, 1.0)
 
 
+@pytest.fixture(autouse=True)
+def _plain(compiled: bool) -> None:
+    if compiled:
+        pytest.skip("as plain Python alone: kernels of their own are compiled by `make exam`, against the references")
+
+
 def sheet(share: float, color: Vector = COLOR) -> Object:
     """Six wide, in the plane z = 0."""
     return plate("sheet", (-3.0, -3.1, 0.0), (6.0, 0.0, 0.0), (0.0, 6.2, 0.0), Material(color, translucency=share))
@@ -36,7 +42,7 @@ def seen(share: float, *others: Object, above: bool = True, **changes: Any) -> S
     """The sheet and other things from above, or from below; a point light below."""
     camera = Camera((0.3, -4.0, 3.0 if above else -3.0), (0.3, 0.2, 0.0), fov=20.0, pixel="centre")
     light = PointLight((0.5, 0.25, -1.5), (3.0, 2.0, 1.0))
-    scene = Scene("sheet", camera, (sheet(share), *others), (light,), resolution=(4, 4), photons=Photons(2000, 0.5))
+    scene = Scene("sheet", camera, (sheet(share), *others), (light,), resolution=(3, 3), photons=Photons(2000, 0.5))
     return attrs.evolve(scene, **changes)
 
 
@@ -66,12 +72,12 @@ def test_a_sheet_in_a_furnace(variant: str, share: float):
     scene = seen(share, ambient=Ambient(WHITE, 9.0))
     scene = attrs.evolve(scene, objects=(sheet(share, WHITE),))
     opaque = attrs.evolve(scene, objects=(sheet(0.0, WHITE),))
-    found = image(scene, "ambient", variant, 64, without=("open",))
+    found = image(scene, "ambient", variant, 16, without=("open",))
     expected = {"paper": math.pi, "paper-loop": 0.5}.get(variant, 1.0)
     exact = variant in ("cosine", "constant")
-    np.testing.assert_allclose(found, expected, rtol=1e-12 if exact else 0.05)
+    np.testing.assert_allclose(found, expected, rtol=1e-12 if exact else 0.1)
     if share == 0.0:
-        np.testing.assert_array_equal(found, image(opaque, "ambient", variant, 64, without=("open",)))
+        np.testing.assert_array_equal(found, image(opaque, "ambient", variant, 16, without=("open",)))
 
 
 @pytest.mark.parametrize("share", SHARES)
@@ -85,11 +91,9 @@ def test_a_leaf_between_the_lamp_and_the_eye(variant: str, share: float):
 
 
 @pytest.mark.parametrize("variant", ["photon-map", "nearest"])
-def test_photons_of_both_sides_are_gathered(variant: str, compiled: bool):
+def test_photons_of_both_sides_are_gathered(variant: str):
     """They land on the side of the light; from both sides the same ones are seen."""
-    count = 20_000 if compiled else 1000
-    if variant == "nearest" and compiled:
-        pytest.skip("of its kernel nothing is left that the plain lane does not show")
+    count = 1000
     scenes = [seen(0.25, above=above, photons=Photons(count, 0.5, nearest=count // 20)) for above in (True, False)]
     above, below = (image(scene, "direct", variant) for scene in scenes)
     e = irradiance(scenes[0])
@@ -103,7 +107,7 @@ def test_all_that_crosses_is_the_opaque_sheet_from_the_other_side(share: float):
     black = attrs.evolve(box("black", (-0.4, 0.1, -1.4), 0.9), material=Material((0.0, 0.0, 0.0)))
 
     def ray(above: bool, share: float) -> Scene:
-        scene = seen(share, black, above=above, ambient=Ambient(WHITE), resolution=(8, 8))
+        scene = seen(share, black, above=above, ambient=Ambient(WHITE))
         return attrs.evolve(scene, camera=attrs.evolve(scene.camera, fov=1e-3))
 
     from_above, from_below = (
@@ -116,33 +120,31 @@ def test_all_that_crosses_is_the_opaque_sheet_from_the_other_side(share: float):
 
 
 @pytest.mark.parametrize("variant", ["path", "next-event", "photon-map"])
-def test_a_lantern(variant: str, compiled: bool):
+def test_a_lantern(variant: str):
     """Of a closed sphere's light the share 1 - s goes on within, and s is seen from outside; it does not come back."""
     rho, share = 0.8, 0.5
     inside = unit_sphere(albedo=rho, intensity=math.pi)
     material = Material((rho, rho, rho), translucency=share)
     walls = attrs.evolve(inside.objects[0], material=material)
-    photons = Photons(count=20_000 if compiled else 500, radius=0.3)
+    photons = Photons(count=300, radius=0.6)
     # Convex: what is outside meets nothing.
-    inside = attrs.evolve(inside, objects=(walls,), photons=photons, resolution=(8, 8) if compiled else (2, 2))
+    inside = attrs.evolve(inside, objects=(walls,), photons=photons, resolution=(2, 2))
     outside = attrs.evolve(inside, camera=Camera((0.0, -4.0, 0.0), (0.0, 0.0, 0.0), fov=8.0))
     e = math.pi / (1.0 - rho * (1.0 - share))
-    samples = {"path": 64, "next-event": 4, "photon-map": 4}[variant] if compiled else 8
     for scene, part in ((inside, 1.0 - share), (outside, share)):
-        found = image(scene, "direct", variant, samples).mean()
-        assert found == pytest.approx(rho * part * e / math.pi, rel=0.02 if compiled else 0.2)
+        found = image(scene, "direct", variant, 8 if variant == "path" else 2).mean()
+        assert found == pytest.approx(rho * part * e / math.pi, rel=0.2)
 
 
-def test_ambient_light_is_hidden_on_one_side(compiled: bool):
+def test_ambient_light_is_hidden_on_one_side():
     """A disc over the plate: `(1 - s) (1 - R² / (h² + R²)) + s`; an open side alone is not taken for both."""
-    opaque = disc_over_plane(height=1.0, radius=1.0)
+    opaque = attrs.evolve(disc_over_plane(height=1.0, radius=1.0), resolution=(4, 4))
     share = 0.25
     plate_ = attrs.evolve(opaque.objects[0], material=Material(WHITE, translucency=share))
     scene = attrs.evolve(opaque, objects=(plate_, opaque.objects[1]))
-    samples = 256 if compiled else 32
-    found = image(scene, "ambient", "cosine", samples)
-    assert found.mean() == pytest.approx(0.75 * 0.5 + 0.25, rel=0.01)
-    np.testing.assert_array_equal(found, image(scene, "ambient", "cosine", samples, without=("open",)))
+    found = image(scene, "ambient", "cosine", 64)
+    assert found.mean() == pytest.approx(0.75 * 0.5 + 0.25, rel=0.03)
+    np.testing.assert_array_equal(found, image(scene, "ambient", "cosine", 64, without=("open",)))
     # Within a range that ends before the disc both sides are open, and no ray is traced.
     near = attrs.evolve(scene, ambient=Ambient(WHITE, 0.5))
     with Engine(near) as engine:
@@ -151,10 +153,8 @@ def test_ambient_light_is_hidden_on_one_side(compiled: bool):
     np.testing.assert_array_equal(found, 1.0)
 
 
-def test_a_chain_meets_the_far_side(compiled: bool):
+def test_a_chain_meets_the_far_side():
     """A mirror below the sheet, the light above it: in the mirror stands `w s E / pi` of the sheet."""
-    if compiled:
-        pytest.skip("the chain asks the functions that are tested above; its kernel takes long to compile")
     mirror = plate(
         "mirror", (-30.0, -31.0, -2.0), (60.0, 0.0, 0.0), (0.0, 62.0, 0.0), Material(WHITE, 1.0, 1e-4, WHITE)
     )

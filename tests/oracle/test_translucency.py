@@ -146,6 +146,7 @@ ROWS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS)
 def test_a_row_is_its_reference(row: str):
     """The mean of each channel, of all and of the part behind which the lamp is; s for 1 - s is told apart there."""
