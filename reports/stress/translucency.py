@@ -84,8 +84,8 @@ def _seen(scene: Scene, above: bool, points: np.ndarray, *, direct: bool) -> np.
 
 
 def _places(count: int, scale: float) -> np.ndarray:
-    """Points (N, 2) of the sheet."""
-    return scale * np.random.default_rng(32).uniform(-2.0, 2.0, (min(count, 256), 2))
+    """Points (N, 2) of the sheet's first face."""
+    return scale * np.random.default_rng(32).uniform((0.0, -2.0), (2.0, 0.0), (min(count, 256), 2))
 
 
 def leaves(count: int) -> Iterator[Row]:
