@@ -205,7 +205,7 @@ def test_an_object_and_a_mask_from_files(replicates: Replicates, run: Run, capsy
         (["mine/right", "mine/right"], ["given twice"]),
         (["mine/right", "--reference", "ref/right", "--require", "luck"], ["require"]),
         (["mine/right", "--reference", "ref/right", "--objects", "half.npy"], ["half.npy", "not whole"]),
-        (["mine/right", "--reference", "ref/right", "--objects", "small.npy"], ["objects", "(3, 3)", "(24, 24)"]),
+        (["mine/right", "--reference", "ref/right", "--objects", "small.npy"], ["objects", "3 x 3", "24 x 24"]),
         (["mine/right", "--reference", "ref/right", "--objects", "text.png"], ["text.png", "index image"]),
         (["mine/right", "--reference", "ref/right", "--mask", "none.npy"], ["mask", "every pixel"]),
         (["mine/right", "--reference", "ref/right", "--mask", "missing.png"], ["missing.png", "no such file"]),
