@@ -94,12 +94,12 @@ def rendered(scene: Scene, term: str, variant: str, *, samples: int = SAMPLES, s
 
 
 def suitable(term: Term, variant: str) -> list[Scene]:
-    """Scenes that have the term, of those that the variant takes."""
+    """Scenes that have the term, of those that the variant takes; `leaf`, whose kernels are its own, has its test."""
     found = renderer.find(term, variant)
     return [
         scene
         for scene in scenes().values()
-        if skipped(scene, term) is None and scene.photons.scattering in found.scatterings
+        if skipped(scene, term) is None and scene.photons.scattering in found.scatterings and scene.name != "leaf"
     ]
 
 
@@ -194,6 +194,20 @@ def test_radiance_times_a_power_of_two(term: Term, variant: str):
         for exponent in (-30, 7):
             factor = 2.0**exponent
             np.testing.assert_array_equal(rendered(brighter(scene, factor), term, variant), factor * image)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("term", "variant"), [("ambient", "cosine"), ("direct", "next-event"), ("direct", "path"), ("direct", "photon-map")]
+)
+def test_light_that_crosses_scales_exactly(term: Term, variant: str):
+    """And all that is translucent is opaque, another picture, where its share is 0."""
+    scene = scenes()["leaf"]
+    image = rendered(scene, term, variant)
+    np.testing.assert_array_equal(rendered(brighter(scene, 2.0**7), term, variant), 2.0**7 * image)
+    np.testing.assert_array_equal(rendered(transformed(scene, scale=2.0**13), term, variant), image)
+    opaque = tuple(attrs.evolve(each, material=attrs.evolve(each.material, translucency=0.0)) for each in scene.objects)
+    assert (rendered(attrs.evolve(scene, objects=opaque), term, variant) != image).any()
 
 
 @pytest.mark.parametrize(("term", "variant"), EVERY)
