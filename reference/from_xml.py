@@ -2,8 +2,10 @@
 
 Mitsuba parses the file and makes its objects, so that includes, parameters, transforms, spectra and normals mean what
 they mean there; nothing is rendered. Integrator and sampler are settings of a renderer and are not read.
+A lamp shines on the side of its shading normals, which mirroring turns with it.
 """
 
+import contextlib
 import gc
 import math
 from collections.abc import Iterator
@@ -14,7 +16,7 @@ import attrs
 import numpy as np
 
 from termwise.reference import backend
-from termwise.scenes.exchange.imported import MIRROR, Import, coated, look
+from termwise.scenes.exchange.imported import MIRROR, Import, Unsaid, coated, look
 from termwise.scenes.model import (
     BLACK,
     BLACK_SURFACE,
@@ -37,6 +39,8 @@ _GRID = 32
 """Texels a side, over the unit square of u and v, of which a texture's mean is taken."""
 _TINY = 1e-4
 """Of a camera's matrix, whose columns should be orthonormal."""
+_WHOLE = ("path", "volpath", "volpathmis", "ptracer", "prb", "prb_basic", "prb_projective", "prbvolpath")
+"""Integrators of all light transport, where nothing limits them."""
 _MESHES = ("obj", "ply", "serialized", "cube")
 _DIELECTRICS = ("plastic", "roughplastic", "pplastic")
 _CONDUCTORS = ("conductor", "roughconductor")
@@ -80,17 +84,21 @@ def read(path: Path, *, approximate: bool) -> Scene:
         if len(shapes) != len(described):
             raise FileError(f"{path}: holds {len(described)} shapes, of which Mitsuba makes {len(shapes)}")
         for node, shape in zip(described, shapes, strict=True):
-            _shape(mi, found, node, shape)
+            with contextlib.suppress(Unsaid):
+                _shape(mi, found, node, shape)
         # Lamps are their shapes'; the others stand in the file's order.
         lights = [each for each in made.emitters() if not mi.has_flag(each.flags(), mi.EmitterFlags.Surface)]
         nodes = [node for node in root.of("Emitter") if node.plugin != "area"]
         for node, light in zip(nodes, lights, strict=True):
-            _emitter(mi, found, node, light)
+            with contextlib.suppress(Unsaid):
+                _emitter(mi, found, node, light)
         sensors = [*root.of("Sensor")]
         if sensors:
-            _sensor(mi, found, sensors[0], made.sensors()[0])
+            with contextlib.suppress(Unsaid):
+                _sensor(mi, found, sensors[0], made.sensors()[0])
         for other in sensors[1:]:
             found.assume(f"the first sensor is meant, not {other.name}")
+        _transport(found, root)
     finally:
         del made, root
         gc.collect()  # every material that exists would be compiled into every kernel
@@ -143,17 +151,35 @@ def _called(plugin: str, properties: dict[str, Any]) -> str:
 
 def _refuse_groups(path: Path, root: _Node) -> None:
     """What would be other shapes in Mitsuba's list than in the file's."""
-    for shape in root.of("Shape"):
-        if shape.plugin in ("shapegroup", "instance", "merge"):
-            raise FileError(f"{path}: {shape.name}: {shape.plugin}: the model has no instances")
+    groups = [shape for shape in root.of("Shape") if shape.plugin in ("shapegroup", "instance", "merge")]
+    if groups:
+        named = "; ".join(f"{shape.name}: {shape.plugin}" for shape in groups)
+        raise FileError(f"{path}: {named}: the model has no instances")
 
 
 def _check(found: Import, node: _Node) -> None:
     """Refuse what fills space."""
     for _, child in node.children:
         if child.kind in ("Medium", "Volume"):
-            raise found.refuse(child.name, f"{child.plugin}, a {child.kind.lower()}")
+            found.refuse(child.name, f"{child.plugin}, a {child.kind.lower()}")
         _check(found, child)
+
+
+def _transport(found: Import, root: _Node) -> None:
+    """Note what an integrator leaves out of the picture, in a line."""
+    limits: list[str] = []
+    pending = [*root.of("Integrator")]
+    for node in pending:
+        inner = [*node.of("Integrator")]
+        pending += inner
+        if not inner and node.plugin not in _WHOLE:
+            limits.append(node.plugin)
+        if node.properties.get("max_depth", -1) >= 0:
+            limits.append(f"max_depth = {node.properties['max_depth']}")
+        if node.properties.get("hide_emitters", False):
+            limits.append("hide_emitters")
+    if limits:
+        found.assume(f"full light transport and lamps in sight, whatever the integrator says: {', '.join(limits)}")
 
 
 def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
@@ -163,29 +189,35 @@ def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
     emission = BLACK
     for emitter in node.of("Emitter"):
         emission = _area(mi, found, node, emitter, shape)
+    material = _material(mi, found, node, shape)
     flipped = node.properties.get("flip_normals", False)
-    if node.plugin == "sphere" and any(emission) and not flipped and _scale(matrix) is not None:
-        if any(_material(mi, found, node, shape).color):
-            found.instead(node.name, "a lamp that reflects", "a black one")
-        center, radius = _ball(node)
-        radius *= _scale(matrix) or 1.0
-        found.lights.append(SphereLight(tuple(_placed(matrix, center).tolist()), radius, emission))
-        return
-    if node.plugin in _MESHES:
+    if node.plugin == "sphere":
+        center, radius = _ball(found, node, matrix)
+        flipped ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)  # a mirrored sphere looks inwards
+        if any(emission) and not flipped:
+            if any(material.color) or material.gloss > 0.0:
+                found.instead(node.name, "a lamp that reflects", "a black one")
+            found.lights.append(SphereLight(tuple(center.tolist()), radius, emission))
+            return
+        points, faces, normals = _icosphere(found, node, center, radius)
+    elif node.plugin in _MESHES:
         points = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
         faces = np.array(shape.faces_buffer(), np.int64).reshape(-1, 3)
         if shape.has_vertex_normals():
             normals = np.array(shape.vertex_normals_buffer(), np.float64).reshape(-1, 3)
-    elif node.plugin == "rectangle":
-        points = _placed(matrix, [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-        faces = np.array([[0, 1, 2], [0, 2, 3]])
-    elif node.plugin in ("sphere", "disk"):
-        points, faces, normals = _round(found, node, matrix)
+    elif node.plugin in ("rectangle", "disk"):
+        points, faces = _polygon(found, node)
+        normals = np.broadcast_to(np.linalg.inv(matrix[:3, :3])[2], points.shape)
+        points = _placed(matrix, points)
     else:
         raise found.refuse(node.name, f"{node.plugin}, a shape")
+    if any(emission) and normals is not None:
+        if node.plugin != "sphere":
+            faces = found.outwards(node.name, points, faces, normals)
+        normals = None
     if flipped:
         faces, normals = faces[:, ::-1], None if normals is None else -normals
-    found.add(node.name, points, faces, _material(mi, found, node, shape), normals=normals, emission=emission)
+    found.add(node.name, points, faces, material, normals=normals, emission=emission)
 
 
 def _material(mi: Any, found: Import, node: _Node, shape: Any) -> Material:
@@ -201,10 +233,18 @@ def _scale(matrix: np.ndarray) -> float | None:
     return scale if np.abs(square - scale**2 * np.eye(3)).max() <= _TINY * scale**2 else None
 
 
-def _ball(node: _Node) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of a sphere, before it is placed."""
+def _ball(found: Import, node: _Node, matrix: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of a sphere; of one that is squeezed Mitsuba makes a ball, as wide as along x."""
     center = np.array(node.properties.get("center", (0.0, 0.0, 0.0)), np.float64).ravel()
-    return center, node.properties.get("radius", 1.0)
+    radius, scale = node.properties.get("radius", 1.0), _scale(matrix)
+    if scale is None:
+        scale = float(np.linalg.norm(matrix[:3, 0]))
+        found.instead(
+            node.name,
+            "a sphere that to_world squeezes or shears",
+            f"the ball of radius {radius * scale:g} that Mitsuba makes of it",
+        )
+    return _placed(matrix, center), radius * scale
 
 
 def _matrix(node: _Node) -> np.ndarray:
@@ -216,25 +256,29 @@ def _placed(matrix: np.ndarray, points: Any) -> np.ndarray:
     return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def _round(found: Import, node: _Node, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Points, faces and normals of triangles that stand for a sphere or a disk."""
+def _polygon(found: Import, node: _Node) -> tuple[np.ndarray, np.ndarray]:
+    """Points and faces of a rectangle, or of those that stand for a disk, before it is placed."""
+    if node.plugin == "rectangle":
+        return np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]), np.array(
+            [[0, 1, 2], [0, 2, 3]]
+        )
+    found.instead(node.name, "disk", f"a polygon of {_DISK} corners")
+    angle = 2.0 * np.pi * np.arange(_DISK) / _DISK
+    last = np.arange(1, _DISK - 1)
+    rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(_DISK)], axis=1)
+    return rim, np.stack([0 * last, last, last + 1], axis=1)
+
+
+def _icosphere(
+    found: Import, node: _Node, center: np.ndarray, radius: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, faces and normals of triangles that stand for a sphere."""
     from trimesh import creation  # takes seconds to load
 
-    if node.plugin == "disk":
-        found.instead(node.name, "disk", f"a polygon of {_DISK} corners")
-        angle = 2.0 * np.pi * np.arange(_DISK) / _DISK
-        rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(_DISK)], axis=1)
-        last = np.arange(1, _DISK - 1)
-        return _placed(matrix, rim), np.stack([0 * last, last, last + 1], axis=1), None
     found.instead(node.name, "sphere", f"{20 * 4**_SPHERE} triangles with its normals")
     ball = creation.icosphere(subdivisions=_SPHERE)
     unit = np.asarray(ball.vertices, np.float64)
-    center, radius = _ball(node)
-    points = _placed(matrix, center + radius * unit)
-    faces = np.asarray(ball.faces, np.int64)
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
-        faces = faces[:, ::-1]
-    return points, faces, unit @ np.linalg.inv(matrix[:3, :3])
+    return center + radius * unit, np.asarray(ball.faces, np.int64), unit
 
 
 def _default(mi: Any, found: Import, node: _Node, shape: Any) -> Material:
@@ -421,7 +465,7 @@ def _emitter(mi: Any, found: Import, node: _Node, made: Any) -> None:
         matrix, cutoff = _matrix(node), node.properties.get("cutoff_angle", 20.0)
         place, target = matrix[:3, 3], matrix[:3, 3] + matrix[:3, 2]
         intensity = _color(mi.traverse(made)["intensity.value"])
-        beam = node.properties.get("beam_width", 0.75 * cutoff)
+        beam = min(node.properties.get("beam_width", 0.75 * cutoff), cutoff)  # beyond the cutoff all is dark
         found.lights.append(SpotLight(tuple(place.tolist()), tuple(target.tolist()), intensity, cutoff, beam))
     elif node.plugin == "directional":
         way = np.array(node.properties.get("direction", _matrix(node)[:3, 2]), np.float64).ravel()

@@ -4,6 +4,7 @@ glTF's y is up and becomes z, exactly: (x, y, z) is at (x, -z, y). A nit is our 
 intensity. An emitting material of one side is a lamp; its back, which glTF does not show, is black here.
 """
 
+import contextlib
 import io
 import math
 from pathlib import Path
@@ -13,7 +14,7 @@ import attrs
 import numpy as np
 import PIL.Image
 
-from termwise.scenes.exchange.imported import LONGEST, Import, coated, look
+from termwise.scenes.exchange.imported import LONGEST, Import, Unsaid, coated, look
 from termwise.scenes.meshes.glb import File, described
 from termwise.scenes.model import Color, DirectionalLight, Material, PointLight, Scene, SpotLight
 from termwise.scenes.srgb import decoded
@@ -38,14 +39,17 @@ def read(path: Path, *, approximate: bool) -> Scene:
         if file.description.get("animations"):
             found.instead("animations", f"{len(file.description['animations'])} of them", "the pose at rest")
         for number, primitive, points, faces in file.primitives():
-            _primitive(found, file, number, primitive, points, faces)
+            with contextlib.suppress(Unsaid):
+                _primitive(found, file, number, primitive, points, faces)
         for number in file.scene():
             node = file.item("nodes", number)
             light = node.get("extensions", {}).get("KHR_lights_punctual")
-            if light is not None:
-                _light(found, file, number, light["light"])
-            if "camera" in node:
-                _camera(found, file, number, node["camera"])
+            with contextlib.suppress(Unsaid):
+                if light is not None:
+                    _light(found, file, number, light["light"])
+            with contextlib.suppress(Unsaid):
+                if "camera" in node:
+                    _camera(found, file, number, node["camera"])
         _size(found, _described_scene(file).get("extras"))
     return found.scene()
 

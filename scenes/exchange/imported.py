@@ -36,6 +36,10 @@ _DENSEST = 50.0  # radii of the photon estimate across the scene
 _WHITE: Color = (1.0, 1.0, 1.0)
 
 
+class Unsaid(FileError):
+    """What nothing of the model comes near: noted, so that a reader may go on to name all there is."""
+
+
 @attrs.define
 class Import:
     """A scene while it is read.
@@ -46,6 +50,8 @@ class Import:
     approximate : whether something else may stand for what the model cannot say.
     substitutions : what does, and what was assumed, a sentence each.
     objects, lights, sky, camera, resolution : what was found; a sky, camera or size of None is assumed.
+    hopeless : nodes by what the model has nothing like.
+    lacking : nodes by what the model has not, and what `approximate` would take; named by `scene`, all at once.
     """
 
     path: Path
@@ -56,21 +62,44 @@ class Import:
     sky: Sky | None = None
     camera: Camera | None = None
     resolution: tuple[int, int] | None = None
+    hopeless: dict[str, list[str]] = attrs.Factory(dict)
+    lacking: dict[tuple[str, str], list[str]] = attrs.Factory(dict)
 
-    def refuse(self, node: str, feature: str) -> FileError:
+    def refuse(self, node: str, feature: str) -> Unsaid:
         """An error that names what no surface, light or camera of the model comes near."""
-        return FileError(f"{self.path}: {node}: {feature}: the model has none, and nothing like it")
+        _append(self.hopeless.setdefault(feature, []), node)
+        return Unsaid(f"{self.path}: {self._refused()}")
 
     def instead(self, node: str, feature: str, taken: str) -> None:
-        """Put something in the place of what the model cannot say.
+        """Put something in the place of what the model cannot say; where that is not allowed, `scene` will raise."""
+        if self.approximate:
+            self._note(f"{node}: {feature}: taken is {taken}")
+        else:
+            _append(self.lacking.setdefault((feature, taken), []), node)
+
+    def check(self) -> None:
+        """Refuse what was met so far and cannot be read, the hopeless first.
 
         Raises
         ------
-        FileError : substitutions are not allowed.
+        FileError : its one line.
         """
-        if not self.approximate:
-            raise FileError(f"{self.path}: {node}: {feature}: the model has none: --approximate takes {taken}")
-        self._note(f"{node}: {feature}: taken is {taken}")
+        if self.hopeless or self.lacking:
+            raise FileError(f"{self.path}: {self._refused()}")
+
+    def _refused(self) -> str:
+        """All in one line; what a hopeless node lacks besides is left out."""
+        beyond = {node for nodes in self.hopeless.values() for node in nodes}
+        hopeless = [
+            f"{', '.join(nodes)}: {feature}: the model has none, and nothing like it"
+            for feature, nodes in self.hopeless.items()
+        ]
+        lacking = [
+            f"{', '.join(others)}: {feature}: the model has none: --approximate takes {taken}"
+            for (feature, taken), nodes in self.lacking.items()
+            if (others := [node for node in nodes if node not in beyond])
+        ]
+        return "; ".join(hopeless + lacking)
 
     def assume(self, what: str) -> None:
         """Note what the file does not say."""
@@ -111,10 +140,7 @@ class Import:
         emission : radiance.
         uv : (F, 3, 2) where in an image the faces' corners lie, or None.
         """
-        try:
-            mesh = Mesh.from_arrays(points, faces, uv=uv)
-        except ValueError as error:
-            raise FileError(f"{self.path}: {name}: {error}") from None
+        mesh = self._mesh(name, points, faces, uv)
         if any(emission):
             if any(largest(material.color)) or largest(material.gloss) > 0.0:
                 self.instead(name, "a lamp that reflects", "a black one")
@@ -122,27 +148,52 @@ class Import:
             mesh = self._smooth(name, mesh, normals)
         self.objects.append(Object(self.name(name), mesh, material, emission))
 
+    def _mesh(self, name: str, points: np.ndarray, faces: np.ndarray, uv: np.ndarray | None = None) -> Mesh:
+        try:
+            return Mesh.from_arrays(points, faces, uv=uv)
+        except ValueError as error:
+            raise FileError(f"{self.path}: {name}: {error}") from None
+
     def _smooth(self, name: str, mesh: Mesh, normals: np.ndarray) -> Mesh:
-        """The mesh with shading normals, or as it is where they are those of its faces."""
+        """The mesh with shading normals, or as it is where they are those of its faces.
+
+        A mesh whose normals are on its other side, as of one that was mirrored, is turned: it looks the same from both.
+        """
+        unit, cosines = self._against(name, mesh, normals)
+        if cosines.mean() < 0.0:
+            mesh, cosines = turned(mesh, np.ones(len(mesh.faces), bool)), -cosines
+        if (cosines > 1.0 - _FLAT).all():
+            return mesh
+        return attrs.evolve(mesh, normals=unit.astype(np.float32).astype(np.float64))
+
+    def outwards(self, name: str, points: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Faces of a lamp, turned to the side that its normals (V, 3) are on."""
+        mesh = self._mesh(name, points, faces)
+        _, cosines = self._against(name, mesh, normals)
+        if (np.abs(cosines) <= 1.0 - _FLAT).any():
+            self.instead(
+                name, "a lamp whose normals are not its faces'", "those of the faces, on the side of the others"
+            )
+        return turned(mesh, cosines.mean(axis=1) < 0.0).faces
+
+    def _against(self, name: str, mesh: Mesh, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unit normals (V, 3), and (F, 3) their cosines with those of the faces: 1 where a face has no area."""
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        used = np.unique(mesh.faces)
-        if not (length[used] > 0.0).all():
+        if not (length[np.unique(mesh.faces)] > 0.0).all():
             raise FileError(f"{self.path}: {name}: normals: one has no length: allowed are unit vectors")
         unit = np.divide(normals, length, out=np.zeros_like(mesh.vertices), where=length > 0.0)
         corners = mesh.vertices[mesh.faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(across, axis=1)
-        across = across[size > 0.0] / size[size > 0.0, None]
-        cosines = np.einsum("fkc,fc->fk", unit[mesh.faces[size > 0.0]], across)
-        if (cosines > 1.0 - _FLAT).all():
-            return mesh
-        if cosines.mean() < 0.0:
-            self.instead(name, "normals that point through their faces", "those of the faces")
-            return mesh
-        return attrs.evolve(mesh, normals=unit.astype(np.float32).astype(np.float64))
+        cosines = np.ones(mesh.faces.shape)
+        cosines[size > 0.0] = np.einsum(
+            "fkc,fc->fk", unit[mesh.faces[size > 0.0]], across[size > 0.0] / size[size > 0.0, None]
+        )
+        return unit, cosines
 
     def scene(self) -> Scene:
         """The whole; lamps are in the picture, for other renderers show them."""
+        self.check()
         bounds = self._bounds()
         extent = float(np.max(bounds[1] - bounds[0])) or 1.0
         if not self.objects:
@@ -153,8 +204,11 @@ class Import:
             self.assume("a camera that sees all of it, z up, for the file has none")
         sky = self.sky or Sky()
         if self.sky is None and not self.lights and not any(thing.emits for thing in self.objects):
-            sky = Sky(color=_WHITE)
-            self.assume("a constant sky of radiance 1, for the file has no light")
+            if self.approximate:
+                sky = Sky(color=_WHITE)
+                self.assume("a constant sky of radiance 1, for the file has no light")
+            else:
+                self.assume("no light, for the file has none: --approximate takes a constant sky of radiance 1")
         return Scene(
             self.path.stem,
             self.camera,
@@ -190,6 +244,18 @@ class Import:
             if np.nanmin(apart) < corner or ((thing.mesh.vertices - camera.position) @ forward).max() > far:
                 planes = f"planes at {near:g} and {far:g}, between which not all of {thing.name} is"
                 self.instead("camera", planes, "one that cuts nothing off")
+
+
+def turned(mesh: Mesh, chosen: np.ndarray) -> Mesh:
+    """The mesh with the faces of a mask (F,) turned, which then look the other way."""
+    faces = np.where(chosen[:, None], mesh.faces[:, ::-1], mesh.faces)
+    uv = None if mesh.uv is None else np.where(chosen[:, None, None], mesh.uv[:, ::-1], mesh.uv)
+    return attrs.evolve(mesh, faces=faces, uv=uv)
+
+
+def _append(names: list[str], name: str) -> None:
+    if name not in names:
+        names.append(name)
 
 
 def coated(color: Any, *, metallic: float, f0: float, roughness: float) -> Material:

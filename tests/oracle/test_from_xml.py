@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 import trimesh
@@ -140,7 +141,7 @@ def test_light_that_crosses_comes_back(tmp_path: Path):
 def test_gloss_comes_back_listed(tmp_path: Path):
     given = small("cornell_box")
     mitsuba.write(given, tmp_path / "there.xml")
-    with pytest.raises(FileError, match="short block: roughconductor"):
+    with pytest.raises(FileError, match="short block, tall block: roughconductor"):
         load(tmp_path / "there.xml")
     found = load(tmp_path / "there.xml", approximate=True)
     for mine, theirs in zip(found.objects, given.objects, strict=True):
@@ -206,6 +207,15 @@ UNSAID: dict[str, tuple[Callable[[], str], str, str, bool]] = {
     "mask": (disk('<bsdf type="mask"><bsdf type="diffuse"/></bsdf>'), "plate", "mask", False),
     "curve": (lambda: plain('<shape type="cylinder" id="pipe"/>'), "pipe", "cylinder, a shape", False),
     "round": (lambda: plain('<shape type="disk" id="coin"/>'), "coin", "disk", True),
+    "squeezed": (
+        lambda: plain(
+            '<shape type="sphere" id="egg"><transform name="to_world"><scale x="2"/></transform>'
+            f'{TWO.format("0")}<emitter type="area"/></shape>'
+        ),
+        "egg",
+        "squeezes or shears",
+        True,
+    ),
     "instances": (lambda: plain('<shape type="shapegroup" id="many"/>'), "many", "shapegroup", False),
     "projector": (
         lambda: plain('<emitter type="projector" id="beam"><rgb name="irradiance" value="1"/></emitter>'),
@@ -232,7 +242,10 @@ UNSAID: dict[str, tuple[Callable[[], str], str, str, bool]] = {
         False,
     ),
     "medium": (
-        lambda: plain('<shape type="cube" id="fog"><medium type="homogeneous" name="interior" id="smoke"/></shape>'),
+        lambda: plain(
+            f'<shape type="cube" id="fog">{TWO.format("0.5")}'
+            '<medium type="homogeneous" name="interior" id="smoke"/></shape>'
+        ),
         "smoke",
         "homogeneous, a medium",
         False,
@@ -291,3 +304,189 @@ def test_what_was_read_leaves_nothing_in_mitsuba(tmp_path: Path):
     assert not [
         each for each in gc.get_objects() if isinstance(each, mi.Scene | mi.BSDF) and type(each).__module__ == "mitsuba"
     ]
+
+
+# Lamps: which of their sides shines is asked of Mitsuba's own intersection.
+
+AHEAD, ASIDE, BEHIND = "vn 0.6 0 0.8\n", "vn 0 0 1\n", "vn 0 0 -1\n"
+SPECK = (
+    '<shape type="rectangle" id="speck"><transform name="to_world"><scale value="0.1"/><translate x="99"/></transform>'
+    f"{TWO.format('0.5')}</shape>"
+)
+TRANSFORMS = ('<scale value="1"/>', '<scale x="-0.7" y="0.9"/><rotate x="1" angle="30"/>')
+
+
+def shard(normal: str) -> str:
+    corners = "f 1//1 2//1 3//1" if normal else "f 1 2 3"
+    return f"v -1 -1 0\nv 1 -1 0\nv 0 1 0\n{normal}{corners}\n"
+
+
+def shining(scene: Scene, origins: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """Whether rays (N, 3) see the front of the first face that they meet, or a ball from without."""
+    for light in scene.lights:
+        assert isinstance(light, SphereLight)
+        outside = np.linalg.norm(light.center - origins, axis=1) > light.radius
+        return outside & (np.linalg.norm(np.cross(light.center - origins, ways), axis=1) < light.radius)
+    thing = scene.objects[1]
+    mesh = trimesh.Trimesh(thing.mesh.vertices, thing.mesh.faces, process=False)
+    meets, rays, faces = mesh.ray.intersects_location(origins, ways, multiple_hits=True)
+    front = np.zeros(len(origins), bool)
+    nearest = np.full(len(origins), np.inf)
+    for meet, ray, face in zip(meets, rays, faces, strict=True):
+        if (away := np.linalg.norm(meet - origins[ray])) < nearest[ray]:
+            nearest[ray], front[ray] = away, mesh.face_normals[face] @ ways[ray] < 0.0
+    return front
+
+
+@pytest.mark.parametrize("kind", ["rectangle", "disk", "cube", "sphere", "bare", "with", "against"])
+def test_a_lamp_shines_from_the_side_that_mitsuba_s_does(kind: str, tmp_path: Path):
+    given = {"bare": "", "with": ASIDE, "against": BEHIND}
+    (tmp_path / "shard.obj").write_text(shard(given.get(kind, "")))
+    mi = backend.import_mitsuba()
+    origins = np.array([[0.1, 0.05, 4.0], [0.1, 0.05, -4.0], [0.1, 0.02, 0.1]])
+    ways = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    for to_world in TRANSFORMS:
+        for flip in ("true", "false"):
+            file = '<string name="filename" value="shard.obj"/>' if kind in given else ""
+            text = (
+                f'<scene version="3.0.0">{SPECK}<shape type="{"obj" if file else kind}">{file}'
+                f'<boolean name="flip_normals" value="{flip}"/><transform name="to_world">{to_world}</transform>'
+                f'{TWO.format("0")}<emitter type="area"><rgb name="radiance" value="1 2 3"/></emitter></shape></scene>'
+            )
+            (tmp_path / "lamp.xml").write_text(text)
+            found = load(tmp_path / "lamp.xml", approximate=True)
+            if kind not in ("disk", "sphere"):
+                assert load(tmp_path / "lamp.xml").digest() == attrs.evolve(found, substitutions=()).digest()
+            theirs = mi.load_file(str(tmp_path / "lamp.xml"))
+            lit = []
+            for origin, way in zip(origins, ways, strict=True):
+                si = theirs.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(*way.tolist())))
+                emitter = theirs.emitters()[0]
+                lit.append(bool(np.array(si.is_valid()).ravel()[0]) and np.array(emitter.eval(si)).max() > 0.0)
+            np.testing.assert_array_equal(shining(found, origins, ways), lit)
+            assert any(lit)
+
+
+def test_a_lamp_with_normals_of_its_own_is_refused_or_listed(tmp_path: Path):
+    path = written(
+        tmp_path,
+        plain(
+            '<shape type="obj" id="lamp"><string name="filename" value="bent.obj"/>'
+            f'{TWO.format("0")}<emitter type="area"/></shape>'
+        ),
+    )
+    (tmp_path / "bent.obj").write_text(shard(AHEAD))
+    with pytest.raises(FileError, match="lamp: a lamp whose normals are not its faces'"):
+        load(path)
+    assert load(path, approximate=True).objects[1].emits
+
+
+def test_a_mirrored_smooth_mesh_keeps_its_normals(tmp_path: Path):
+    """It looks as its normals say: which way a face is wound is nothing to a surface of two sides."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    lines = [f"v {x} {y} {z}" for x, y, z in ball.vertices] + [f"vn {x} {y} {z}" for x, y, z in ball.vertices]
+    lines += ["f " + " ".join(f"{i}//{i}" for i in face + 1) for face in ball.faces]
+    path = written(
+        tmp_path,
+        plain(
+            '<shape type="obj" id="ball"><string name="filename" value="ball.obj"/><transform name="to_world">'
+            f'<scale x="-1"/><translate x="2"/></transform>{TWO.format("0.5")}</shape>'
+        ),
+    )
+    (tmp_path / "ball.obj").write_text("\n".join(lines))
+    mesh = load(path).objects[1].mesh
+    assert mesh.normals is not None
+    np.testing.assert_allclose(mesh.normals, mesh.vertices - [2.0, 0.0, 0.0], atol=1e-6)
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 0.0
+
+
+@pytest.mark.parametrize("squeeze", ['<scale x="2" y="0.5"/>', '<matrix value="1 .5 0 0 0 1 .3 0 .2 0 1 0 0 0 0 1"/>'])
+def test_a_squeezed_sphere_is_the_ball_that_mitsuba_makes_of_it(squeeze: str, tmp_path: Path):
+    text = (
+        f'<scene version="3.0.0">{SPECK}<shape type="sphere" id="egg"><point name="center" x="1" y="2" z="3"/>'
+        f'<float name="radius" value="2"/><transform name="to_world">{squeeze}</transform>{TWO.format("0")}'
+        '<emitter type="area"/></shape></scene>'
+    )
+    path = written(tmp_path, text)
+    mi = backend.import_mitsuba()
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    box = next(each.bbox() for each in mi.load_file(str(path)).shapes() if each.id() == "egg")
+    mi.set_log_level(level)
+    found = load(path, approximate=True).lights[0]
+    assert isinstance(found, SphereLight)
+    np.testing.assert_allclose(found.center, np.array(box.center()).ravel(), rtol=1e-6)
+    np.testing.assert_allclose([found.radius] * 3, np.array(box.extents()).ravel() / 2.0, rtol=1e-6)
+
+
+# What a whole file says
+
+
+def test_all_that_is_refused_is_named_the_hopeless_first(tmp_path: Path):
+    plastic = '<shape type="rectangle" id="{}"><bsdf type="twosided"><bsdf type="plastic"/></bsdf></shape>'
+    path = written(
+        tmp_path,
+        plain(
+            plastic.format("plate")
+            + plastic.format("dish")
+            + '<shape type="rectangle" id="pane"><bsdf type="dielectric"/></shape>'
+            + f'<shape type="cylinder" id="pipe">{TWO.format("0.5")}</shape>'
+        ).replace('type="box"', 'type="gaussian"'),
+    )
+    with pytest.raises(FileError) as refused:
+        load(path)
+    said = str(refused.value).removeprefix(f"{path}: ")
+    parts = [part.partition(": the model has none")[0] for part in said.split("; ")]
+    assert parts == [
+        "pane: dielectric",
+        "pipe: cylinder, a shape",
+        "plate, dish: plastic",
+        "cam: gaussian, a pixel filter",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("integrator", "said"),
+    [
+        ('<integrator type="path"><integer name="max_depth" value="-1"/></integrator>', ""),
+        ('<integrator type="path"><integer name="max_depth" value="2"/></integrator>', "max_depth = 2"),
+        (
+            '<integrator type="direct"><boolean name="hide_emitters" value="true"/></integrator>',
+            "direct, hide_emitters",
+        ),
+        (
+            '<integrator type="moment"><integrator type="path"><boolean name="hide_emitters" value="true"/>'
+            "</integrator></integrator>",
+            "hide_emitters",
+        ),
+    ],
+)
+def test_what_an_integrator_leaves_out_is_a_note(integrator: str, said: str, tmp_path: Path):
+    found = load(written(tmp_path, plain(integrator + '<emitter type="constant"/>')))
+    line = f"assumed: full light transport and lamps in sight, whatever the integrator says: {said}"
+    assert found.substitutions == ((line,) if said else ())
+
+
+def test_a_beam_wider_than_its_spot_ends_where_mitsuba_s_does(tmp_path: Path):
+    numbers = '<float name="cutoff_angle" value="{}"/><float name="beam_width" value="{}"/>'
+    spot = f'<emitter type="spot">{numbers.format(20, 30)}</emitter>'
+    found = load(written(tmp_path, plain(spot))).lights[0]
+    mi = backend.import_mitsuba()
+    theirs = mi.load_dict({"type": "spot", "cutoff_angle": 20.0, "beam_width": 30.0})
+    for degrees in (0.0, 14.0, 19.0, 21.0, 29.0):
+        angle = np.radians(degrees)
+        at = mi.Interaction3f()
+        at.p = mi.Point3f(float(np.sin(angle)), 0.0, float(np.cos(angle)))
+        _, weight = theirs.sample_direction(at, mi.Point2f(0.5, 0.5), True)
+        beam, cutoff = found.angles  # type: ignore[union-attr]
+        assert beam == cutoff
+        assert np.array(weight).max() == pytest.approx(float(angle < cutoff))
+
+
+def test_a_file_without_light_is_dark_unless_one_may_stand_for_it(tmp_path: Path):
+    path = written(tmp_path, plain(""))
+    dark = load(path)
+    assert not dark.has_lights
+    assert dark.sky.is_black
+    assert any("no light, for the file has none" in line for line in dark.substitutions)
+    assert load(path, approximate=True).sky.color == (1.0, 1.0, 1.0)
