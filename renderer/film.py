@@ -1,19 +1,17 @@
 """What all drivers share: the sample's ray into the scene, and the sum of its radiance into the image."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from termwise.renderer.arrays import CameraArrays, SceneArrays
 from termwise.renderer.camera import CENTRE, JITTER, camera_ray, direction_through, point_in_pixel
-from termwise.renderer.geometry.intersect import make_ray
-from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.geometry.wave import SIZE, hit_of, put_hit, put_ray
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sobol import Sampler
-from termwise.renderer.surface import closest, hit_of, occlude_group, put_hit, put_ray, trace, trace_group
+from termwise.renderer.surface import occlude_wave, trace, trace_wave
 from termwise.renderer.vector import Vec3, column, length, put, put_column, sub, vec3
 
 # Samples of a pixel that have a camera ray each: edges need some before the rest shares.
@@ -64,7 +62,7 @@ def most_of(last: int, split: int) -> int:
 
 
 class PrimaryHits(NamedTuple):
-    """The group of primary hits at hand, and where it stands in the work.
+    """The wave of primary hits at hand, and where it stands in the work.
 
     Work is (N, 7) int64, a row `(x0, y0, x1, y1, first, last, split)`: the samples [first, last) of a tile's pixels,
     `split` of which share a camera ray. Many small tiles take one call of a kernel.
@@ -72,104 +70,109 @@ class PrimaryHits(NamedTuple):
     Attributes
     ----------
     count : how many, those of `scratch.primary`; 0 where there are no more.
-    y : their row of the image; a group has no second one.
-    ends_row : whether they are the last ones of their row of the tile.
+    ends_tile : whether they are the last ones of their tile; a wave has no second one.
     first, last, split : of the item.
-    item, x, index : of the next primary hit.
+    item, next_x, next_y, next_index : of the next primary hit.
     """
 
     count: int
-    y: int
-    ends_row: bool
+    ends_tile: bool
     first: int
     last: int
     split: int
     item: int
-    x: int
-    index: int
+    next_x: int
+    next_y: int
+    next_index: int
 
 
 @device
 def no_hits() -> PrimaryHits:
-    """What stands before the first group."""
-    return PrimaryHits(0, 0, True, 0, 0, 1, -1, 0, 0)
+    """What stands before the first wave."""
+    return PrimaryHits(0, True, 0, 0, 1, -1, 0, 0, 0)
 
 
 @device
 def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: PrimaryHits, scratch: Scratch) -> PrimaryHits:
-    """Fill `scratch.primary` with the next 8 of the work, or what is left of a row, pixel by pixel.
+    """Fill `scratch.primary` with the next 64 of the work, or what is left of a tile, pixel by pixel and row by row.
 
     A primary hit is what one camera ray meets, for `split` samples. Rays of one pixel, or of a few side by side, go
-    the same way: they make a packet (20 ns a ray in place of 87 singly, in the Cornell box). Rays through one point of
-    their pixel are one ray, traced for its first primary hit alone. What another term has traced is taken from
-    `scratch.seen`.
+    the same way: they make packets. Rays through one point of their pixel are one ray, traced for its first primary hit
+    alone. What another term has traced is taken from `scratch.seen`.
 
     A driver calls it in one place, in a loop that has no end, and leaves at `count` 0. As the condition of a `while` it
     would be compiled twice: Python repeats the condition behind the body.
     """
-    y, first, last, split = hits.y, hits.first, hits.last, hits.split
-    item, x, index = hits.item, hits.x, hits.index
-    if hits.ends_row:
-        y += 1
-        while item < 0 or y >= work[item, 3] or first >= last:
+    first, last, split = hits.first, hits.last, hits.split
+    item, x, y, index = hits.item, hits.next_x, hits.next_y, hits.next_index
+    if hits.ends_tile:
+        item += 1
+        while item < len(work) and work[item, 4] >= work[item, 5]:
             item += 1
-            if item == len(work):
-                return PrimaryHits(0, y, True, first, last, split, item, x, index)
-            y, first, last, split = work[item, 1], work[item, 4], work[item, 5], work[item, 6]
-        x = work[item, 0]
+        if item == len(work):
+            return PrimaryHits(0, True, first, last, split, item, x, y, index)
+        x, y = work[item, 0], work[item, 1]
+        first, last, split = work[item, 4], work[item, 5], work[item, 6]
         index, _ = primary_hits_of(first, last, split)
-    x1 = work[item, 2]
+    x0, x1, y1 = work[item, 0], work[item, 2], work[item, 3]
     begin, end = primary_hits_of(first, last, split)
-    count = min(SIZE, (x1 - x) * (end - begin) - (index - begin))
+    count = 0
     # The key of all randomness of a pixel.
     pixel = fold(key, y * scene.camera.width + x)
     known = scratch.seen.face.shape[1] > 0
-    for i in range(count):
-        if index == end:
-            x += 1
-            index = begin
-            pixel = fold(key, y * scene.camera.width + x)
-        scratch.x[i] = x
-        scratch.pixel[i] = pixel
-        scratch.index[i] = index
+    while count < SIZE and y < y1:
+        scratch.x[count] = x
+        scratch.y[count] = y
+        scratch.pixel[count] = pixel
+        scratch.index[count] = index
         known = known and index < scratch.seen.known[y, x]
+        count += 1
         index += 1
+        if index == end:
+            index = begin
+            x += 1
+            if x == x1:
+                x = x0
+                y += 1
+            pixel = fold(key, y * scene.camera.width + x)
     if known:
         for i in range(count):
-            _recall(scene, y, i, scratch)
+            _recall(scene, i, scratch)
     else:
-        _look(scene, y, begin, count, scratch)
-    if index == end:
-        x += 1
-        index = begin
-    return PrimaryHits(count, y, x == x1, first, last, split, item, x, index)
+        _look(scene, begin, count, scratch)
+    return PrimaryHits(count, y == y1, first, last, split, item, x, y, index)
 
 
 @device
-def _look(scene: SceneArrays, y: int, begin: int, count: int, scratch: Scratch) -> None:
-    """Trace the first `count` primary hits of row y, from a pixel's `begin` on, and keep those there is room for."""
+def _look(scene: SceneArrays, begin: int, count: int, scratch: Scratch) -> None:
+    """Trace the first `count` primary hits, from a pixel's `begin` on, and keep those there is room for."""
     primary, camera = scratch.primary, scene.camera
     # Loops of their own: what hashes and maps eight points is vectorised.
     for i in range(count):
         scratch.u[i], scratch.v[i] = point_in_pixel(camera, sampler_of(i, scratch))
     for i in range(count):
-        direction = direction_through(camera, scratch.x[i] + scratch.u[i], y + scratch.v[i])
+        direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])
         put_column(primary.directions, i, direction)
+    shared = camera.rule != JITTER and scene.skips.pixel
+    before = hit_of(primary, SIZE - 1)
+    asked = 0
     for i in range(count):
-        put_ray(primary, i, camera.position, column(primary.directions, i))
-    if camera.rule == JITTER or not scene.skips.pixel:
-        trace_group(scene, primary, count, scratch)
-    else:
+        # The rays of a pixel are one; where a pixel goes on, it was traced with the 64 before.
+        if not shared or scratch.index[i] == begin:
+            put_ray(primary, asked, camera.position, column(primary.directions, i))
+            asked += 1
+    if asked > 0:
+        trace_wave(scene, primary, asked, True, scratch)
+    if shared:
+        for i in range(count - 1, -1, -1):
+            put_hit(primary, i, hit_of(primary, asked - 1) if asked > 0 else before)
+            asked -= 1 if scratch.index[i] == begin else 0
         for i in range(count):
-            if scratch.index[i] == begin:
-                ray = make_ray(camera.position, column(primary.directions, i))
-                put_hit(primary, i, closest(scene, ray, math.inf, -1, scratch))
-            else:
-                # Before primary hit 0 comes the last one of the 8 before.
-                put_hit(primary, i, hit_of(primary, (i - 1) % SIZE))
+            direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])
+            put_ray(primary, i, camera.position, direction)
     seen = scratch.seen
     for i in range(count):
-        x, index = scratch.x[i], scratch.index[i]
+        x, y, index = scratch.x[i], scratch.y[i], scratch.index[i]
         if index < seen.face.shape[1] and index == seen.known[y, x]:
             seen.face[y, index, x] = primary.face[i]
             seen.ray[y, index, x, 0] = primary.b1[i]
@@ -180,10 +183,10 @@ def _look(scene: SceneArrays, y: int, begin: int, count: int, scratch: Scratch) 
 
 
 @device
-def _recall(scene: SceneArrays, y: int, i: int, scratch: Scratch) -> None:
-    """Take primary hit i of row y from those that are kept."""
+def _recall(scene: SceneArrays, i: int, scratch: Scratch) -> None:
+    """Take primary hit i from those that are kept."""
     primary, seen = scratch.primary, scratch.seen
-    x, index = scratch.x[i], scratch.index[i]
+    x, y, index = scratch.x[i], scratch.y[i], scratch.index[i]
     ray = seen.ray[y, index]
     put_ray(primary, i, scene.camera.position, Vec3(ray[x, 2], ray[x, 3], ray[x, 4]))
     # Nothing asks for the distance of a primary hit.
@@ -202,19 +205,19 @@ def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
 
 @device
 def resolve_occlusion(
-    scene: SceneArrays, waiting: int, asking: int, far: float, coherent: bool, y: int, out: np.ndarray, scratch: Scratch
+    scene: SceneArrays, waiting: int, asking: int, far: float, coherent: bool, out: np.ndarray, scratch: Scratch
 ) -> None:
-    """Add the first `waiting` samples of a row to their pixels, in order; the first `asking` rays may hide theirs.
+    """Add the first `waiting` samples to their pixels, in order; the first `asking` rays may hide theirs.
 
-    `far`, `coherent`: see `occlude_group`.
+    `far`, `coherent`: see `occlude_wave`.
     """
     if asking > 0:
-        occlude_group(scene, scratch.rays, asking, far, coherent, scratch)
+        occlude_wave(scene, scratch.rays, asking, far, coherent, scratch)
         for k in range(asking):
             if scratch.rays.found[k]:
                 put(scratch.radiance, scratch.lane[k], vec3(scratch.hidden, scratch.lane[k]))
     for i in range(waiting):
-        accumulate(out, y, scratch.column[i], vec3(scratch.radiance, i))
+        accumulate(out, scratch.row[i], scratch.column[i], vec3(scratch.radiance, i))
 
 
 class GeometryImages(NamedTuple):

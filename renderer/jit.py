@@ -98,7 +98,18 @@ def device(function: F) -> F:
     """
     if cast(Any, config).DISABLE_JIT:
         return _compile(function)
-    return cast(F, _Device(function))
+    return cast(F, _Device(function, inline=True))
+
+
+def subroutine(function: F) -> F:
+    """Compile a function that kernels call, as `device` does, but let LLVM leave it a call.
+
+    For what does so much at once that a call is lost in it, a wave of rays: a kernel that calls it twice has it once.
+    Its arguments should be few, the scene is not among them.
+    """
+    if cast(Any, config).DISABLE_JIT:
+        return _compile(function)
+    return cast(F, _Device(function, inline=False))
 
 
 class _Device:
@@ -108,10 +119,10 @@ class _Device:
     function that takes a scene, this took more than half of the time.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], *, inline: bool) -> None:
         functools.update_wrapper(self, function)
         self._for_kernels = _compile(
-            function, _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
+            function, _nrt=False, forceinline=inline, no_cpython_wrapper=True, no_cfunc_wrapper=True
         )
         # In a folder of its own: Numba's cache does not tell apart how a function was compiled.
         self._for_python = _compile(function, "python", _nrt=False, no_cfunc_wrapper=True)

@@ -68,7 +68,7 @@ class Recorder:
         values = {"position": found.point, "normal": found.normal, "object": found.object, "triangle": triangle}
         before = len(self.events)
         self.note("vertex", **values)
-        # A kernel may take the same vertex from its group of rays a second time.
+        # A kernel may take the same vertex from its wave of rays a second time.
         if self.events[-1] in self.events[:before]:
             self.events.pop()
 
@@ -96,11 +96,11 @@ class Recorder:
         """One occlusion ray."""
         self.note("occlusion ray", direction=given.direction, hidden=bool(hidden))
 
-    def occlude_group(self, given: Any, none: None, caller: FrameType) -> None:
-        """The occlusion ray of the one sample in the group."""
+    def occlude_wave(self, given: Any, none: None, caller: FrameType) -> None:
+        """The occlusion ray of the one sample in the wave."""
         for i in range(given.count):
-            hidden = bool(given.group.found[i])
-            self.note("occlusion ray", direction=column(given.group.directions, i), hidden=hidden)
+            hidden = bool(given.wave.found[i])
+            self.note("occlusion ray", direction=column(given.wave.directions, i), hidden=hidden)
 
     def pick(self, given: Any, picked: Any, caller: FrameType) -> None:
         """Which light."""
@@ -124,16 +124,15 @@ class Recorder:
         pdf = None if pdf is None else probability * pdf
         self.note("light", way=direction, probability=probability, pdf=pdf, unhidden=irradiance)
 
-    def light_irradiance(self, given: Any, irradiance: Any, caller: FrameType) -> None:
+    def gain(self, given: Any, radiance: Any, caller: FrameType) -> None:
         """Light that arrives at a vertex of a diffuse path."""
-        if caller.f_code.co_name == "direct_path":
-            self.note("gain", throughput=caller.f_locals["throughput"], irradiance=irradiance)
+        self.note("gain", throughput=given.throughput, irradiance=given.irradiance)
 
     def scattered(self, given: Any, local: Any, caller: FrameType) -> None:
         """Where a diffuse path goes on; below the surface where its light crosses it."""
         through = 0.0 if given.translucency is None else given.translucency[given.surface.object]
         share = through if local.z < 0.0 else 1.0 - through
-        if caller.f_code.co_name == "direct_path":
+        if caller.f_code.co_name in ("direct_path", "_bounce"):
             self.note("diffuse direction", local=local, pdf=share * abs(local.z) / math.pi)
 
     def side_of(self, given: Any, chosen: Any, caller: FrameType) -> None:
@@ -151,10 +150,13 @@ class Recorder:
             pdf = None
         self.note("lobe direction", wo=given.wo, local=wi, pdf=pdf, weight=weight)
 
+    def survives(self, given: Any, on: bool, caller: FrameType) -> None:
+        """Roulette of a diffuse path."""
+        self.note("roulette", survival=given.survival, u=given.u, survives=bool(on))
+
     def sample_1d(self, given: Any, u: float, caller: FrameType) -> None:
-        """Roulette: a path and a chain read a number of its own dimension once `survival` is known."""
-        roulette = {"direct_path": direct.ROULETTE, "_chain": specular.ROULETTE}
-        if roulette.get(caller.f_code.co_name) == given.dimension:
+        """Roulette of a chain: it reads a number of its own dimension once `survival` is known."""
+        if caller.f_code.co_name == "_chain" and given.dimension == specular.ROULETTE:
             survival = caller.f_locals["survival"]
             self.note("roulette", survival=survival, u=u, survives=bool(u < survival))
 
@@ -208,14 +210,15 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     surface._surface,
     surface.shadowed,
     surface.occluded,
-    surface.occlude_group,
+    surface.occlude_wave,
     ambient.sample_hemisphere,
     ambient.sky_light,
     ambient.ambient_light,
     lights.pick,
     lights.pick_by_light,
     lights.sample_light,
-    direct.light_irradiance,
+    direct.gain,
+    direct.survives,
     material.scattered,
     material.side_of,
     specular.sample_variant,

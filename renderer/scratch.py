@@ -1,4 +1,4 @@
-"""What one call of a kernel works in: the stack of the descents, groups of rays, counts of the work it has done.
+"""What one call of a kernel works in: the stack of the descents, waves of rays, counts of the work it has done.
 
 Counts are summed over the tiles of a run. They prove a skip: what a scene does not need is counted as zero.
 """
@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from termwise.renderer.arrays import LIGHT_SAMPLES
 from termwise.renderer.geometry.bvh import STACK_SIZE
-from termwise.renderer.geometry.packets import SIZE, Rays8, new_rays8
+from termwise.renderer.geometry.wave import SIZE, Wave, new_wave
 from termwise.renderer.memory import aligned, on_own_lines
 
 # Rays that ask for the nearest hit, rays that ask for any hit, photons traced, estimates of density by photons.
@@ -44,6 +43,39 @@ SEEN_BYTES = 4 + 5 * 8  # of a primary hit
 NOTHING_SEEN = new_seen(0, 0, 0)
 
 
+class LightSamples(NamedTuple):
+    """Points that ask for light, and one sample of it for each.
+
+    Attributes
+    ----------
+    point, normal : (3, 64) float64 each.
+    face : (64,) int32, the face that each point is on.
+    u, v : (64,) float64 each, the sample.
+    way : (3, 64) float64, to the point of the light.
+    irradiance : (3, 64) float64, E / pi, black where no light can come from.
+    target : (64,) int32, the face of the light, -1 for none.
+    weight, b1, b2 : (64,) float64 each, scratch.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray
+    face: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    way: np.ndarray
+    irradiance: np.ndarray
+    target: np.ndarray
+    weight: np.ndarray
+    b1: np.ndarray
+    b2: np.ndarray
+
+
+def _new_light_samples() -> LightSamples:
+    three, one, face = np.zeros((3, SIZE)), np.zeros(SIZE), np.zeros(SIZE, np.int32)
+    arrays = three, three, face, one, one, three, three, face, one, one, one
+    return LightSamples(*map(on_own_lines, arrays))
+
+
 class Scratch(NamedTuple):
     """Memory of one thread.
 
@@ -52,34 +84,37 @@ class Scratch(NamedTuple):
     stack : int32, STACK_SIZE.
     counts : int64, one of each of COUNTERS, only ever added to.
     primary : the rays through a pixel and what they meet.
-    x, pixel, index : (8,) each, int64, uint64 and int64: of each primary hit the pixel's column, the key of the pixel's
-        randomness, and its number within the pixel.
-    column : (8,) int64, the pixel's column of each sample that waits for its occlusion ray.
-    radiance, hidden : (8, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
-    rays : the occlusion rays; `lane` (8,) int64 is the sample of each, `share` (8,) float64 the translucency where it
-        begins.
-    key, sample : (8,) uint64 and uint32, the randomness of each occlusion ray.
-    u, v : (8 LIGHT_SAMPLES,) float64 each, points of the unit square: of the camera rays, then of what leaves their
-        hits.
+    x, y, pixel, index : (64,) each, int64 but for the uint64 of `pixel`: of each primary hit the pixel's column and
+        row, the key of the pixel's randomness, and its number within the pixel.
+    column, row : (64,) int64 each, the pixel of each sample that waits for its occlusion ray.
+    radiance, hidden : (64, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
+    rays : the occlusion rays; `lane` (64,) int64 is the sample of each, `share` (64,) float64 the translucency where it
+        begins, or the share of the side that a light sample is of.
+    key, sample : (64,) uint64 and uint32, the randomness of each occlusion ray.
+    u, v : (64,) float64 each, points of the unit square: of the camera rays, then of what leaves their hits.
+    samples : points that ask for light.
     seen : the primary hits that are kept, which all threads share.
     """
 
     stack: np.ndarray
     counts: np.ndarray
-    primary: Rays8
+    primary: Wave
     x: np.ndarray
+    y: np.ndarray
     pixel: np.ndarray
     index: np.ndarray
     column: np.ndarray
+    row: np.ndarray
     radiance: np.ndarray
     hidden: np.ndarray
-    rays: Rays8
+    rays: Wave
     lane: np.ndarray
     share: np.ndarray
     key: np.ndarray
     sample: np.ndarray
     u: np.ndarray
     v: np.ndarray
+    samples: LightSamples
     seen: Seen
 
 
@@ -92,19 +127,22 @@ def new_scratch() -> Scratch:
     return Scratch(
         aligned(STACK_SIZE, np.int32),
         _zeros(len(COUNTERS), np.int64),
-        new_rays8(),
+        new_wave(),
+        _zeros(SIZE, np.int64),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.uint64),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.int64),
+        _zeros(SIZE, np.int64),
         _zeros((SIZE, 3)),
         _zeros((SIZE, 3)),
-        new_rays8(),
+        new_wave(),
         _zeros(SIZE, np.int64),
         _zeros(SIZE),
         _zeros(SIZE, np.uint64),
         _zeros(SIZE, np.uint32),
-        _zeros(SIZE * LIGHT_SAMPLES),
-        _zeros(SIZE * LIGHT_SAMPLES),
+        _zeros(SIZE),
+        _zeros(SIZE),
+        _new_light_samples(),
         NOTHING_SEEN,
     )

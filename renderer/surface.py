@@ -11,7 +11,7 @@ from termwise.renderer import spheres
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry import paper, rays
 from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
-from termwise.renderer.geometry.packets import Rays8, hit_of, put_hit
+from termwise.renderer.geometry.wave import Wave, hit_of, put_hit
 from termwise.renderer.jit import device
 from termwise.renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
 from termwise.renderer.spheres import Spheres
@@ -159,77 +159,75 @@ def occluded(scene: SceneArrays, surface: Surface, direction: Vec3, far: float, 
 
 
 @device
-def put_ray(group: Rays8, i: int, origin: Vec3, direction: Vec3) -> None:
-    """Make ray i of a group one that leaves no face."""
-    put_column(group.origins, i, origin)
-    put_column(group.directions, i, direction)
-    group.first[i] = -1
-    group.end[i] = 0
-    group.target[i] = -1
+def put_leaving_ray(scene: SceneArrays, wave: Wave, i: int, point: Vec3, face: int) -> None:
+    """Make ray i of a wave one that leaves a point of a face, its direction still to be put."""
+    put_column(wave.origins, i, point)
+    ignore = _leaving(scene, face)
+    wave.first[i] = ignore.first
+    wave.end[i] = ignore.end
+    wave.target[i] = -1
 
 
 @device
-def put_occlusion_ray(scene: SceneArrays, group: Rays8, i: int, surface: Surface, direction: Vec3, target: int) -> None:
-    """Make ray i of a group one that leaves a surface; face `target` does not hide."""
-    put_ray(group, i, surface.point, direction)
-    ignore = _leaving(scene, surface.face)
-    group.first[i] = ignore.first
-    group.end[i] = ignore.end
-    group.target[i] = target
+def put_occlusion_ray(scene: SceneArrays, wave: Wave, i: int, surface: Surface, direction: Vec3, target: int) -> None:
+    """Make ray i of a wave one that leaves a surface; face `target` does not hide."""
+    put_leaving_ray(scene, wave, i, surface.point, surface.face)
+    put_column(wave.directions, i, direction)
+    wave.target[i] = target
 
 
 @device
-def trace_group(scene: SceneArrays, group: Rays8, count: int, scratch: Scratch) -> None:
-    """Nearest hits of the first `count` rays of a group, which begin near each other and go the same way."""
+def trace_wave(scene: SceneArrays, wave: Wave, count: int, coherent: bool, scratch: Scratch) -> None:
+    """Nearest hits of the first `count` rays of a wave, `coherent`: they begin near each other and go the same way."""
     scratch.counts[RAYS] += count
     geometry = scene.geometry
     if scene.watertight:
-        rays.closest_hits_of_group(geometry.corners, geometry.tree, group, count, math.inf, True, scratch.stack)
+        rays.closest_hits_of_wave(geometry.corners, geometry.tree, wave, count, math.inf, coherent, scratch.stack)
     else:
         for i in range(count):
-            ray = make_ray(column(group.origins, i), column(group.directions, i))
-            ignore = FaceRange(group.first[i], group.end[i])
-            put_hit(group, i, paper.closest_hit(geometry.corners, ray, math.inf, ignore))
-    _trace_spheres(geometry.spheres, group, count)
+            ray = make_ray(column(wave.origins, i), column(wave.directions, i))
+            ignore = FaceRange(wave.first[i], wave.end[i])
+            put_hit(wave, i, paper.closest_hit(geometry.corners, ray, math.inf, ignore))
+    _trace_spheres(geometry.spheres, wave, count)
 
 
 @device
-def _trace_spheres(balls: Spheres | None, group: Rays8, count: int) -> None:
-    """Put the spheres that are nearer than the faces which a group has met in their place."""
+def _trace_spheres(balls: Spheres | None, wave: Wave, count: int) -> None:
+    """Put the spheres that are nearer than the faces which a wave has met in their place."""
     if balls is not None:
         for i in range(count):
-            origin, direction = column(group.origins, i), column(group.directions, i)
-            ignore = FaceRange(group.first[i], group.end[i])
-            put_hit(group, i, spheres.nearer(balls, origin, direction, math.inf, ignore, hit_of(group, i)))
+            origin, direction = column(wave.origins, i), column(wave.directions, i)
+            ignore = FaceRange(wave.first[i], wave.end[i])
+            put_hit(wave, i, spheres.nearer(balls, origin, direction, math.inf, ignore, hit_of(wave, i)))
 
 
 @device
-def surface_of(scene: SceneArrays, group: Rays8, i: int) -> Surface:
-    """What ray i of a group has met."""
-    return _surface(scene, hit_of(group, i), column(group.origins, i), column(group.directions, i))
+def surface_of(scene: SceneArrays, wave: Wave, i: int) -> Surface:
+    """What ray i of a wave has met."""
+    return _surface(scene, hit_of(wave, i), column(wave.origins, i), column(wave.directions, i))
 
 
 @device
-def occlude_group(scene: SceneArrays, group: Rays8, count: int, far: float, coherent: bool, scratch: Scratch) -> None:
-    """Which of the first `count` rays of a group are hidden: `group.found`, as `occluded` gives it."""
+def occlude_wave(scene: SceneArrays, wave: Wave, count: int, far: float, coherent: bool, scratch: Scratch) -> None:
+    """Which of the first `count` rays of a wave are hidden: `wave.found`, as `occluded` gives it."""
     scratch.counts[OCCLUSION_RAYS] += count
     geometry = scene.geometry
     if scene.watertight:
-        rays.any_hits_of_group(geometry.corners, geometry.tree, group, count, far, coherent, scratch.stack)
+        rays.any_hits_of_wave(geometry.corners, geometry.tree, wave, count, far, coherent, scratch.stack)
     else:
         for i in range(count):
-            ray = make_ray(column(group.origins, i), column(group.directions, i))
-            ignore = FaceRange(group.first[i], group.end[i])
-            group.found[i] = paper.any_hit(geometry.corners, ray, far, ignore, group.target[i])
-    _occlude_by_spheres(geometry.spheres, group, count, far)
+            ray = make_ray(column(wave.origins, i), column(wave.directions, i))
+            ignore = FaceRange(wave.first[i], wave.end[i])
+            wave.found[i] = paper.any_hit(geometry.corners, ray, far, ignore, wave.target[i])
+    _occlude_by_spheres(geometry.spheres, wave, count, far)
 
 
 @device
-def _occlude_by_spheres(balls: Spheres | None, group: Rays8, count: int, far: float) -> None:
-    """Find the rays of a group hidden that a sphere hides."""
+def _occlude_by_spheres(balls: Spheres | None, wave: Wave, count: int, far: float) -> None:
+    """Find the rays of a wave hidden that a sphere hides."""
     if balls is not None:
         for i in range(count):
-            if not group.found[i]:
-                origin, direction = column(group.origins, i), column(group.directions, i)
-                ignore = FaceRange(group.first[i], group.end[i])
-                group.found[i] = spheres.between(balls, origin, direction, far, ignore, group.target[i])
+            if not wave.found[i]:
+                origin, direction = column(wave.origins, i), column(wave.directions, i)
+                ignore = FaceRange(wave.first[i], wave.end[i])
+                wave.found[i] = spheres.between(balls, origin, direction, far, ignore, wave.target[i])

@@ -10,16 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.geometry import simd, wide
-from termwise.renderer.geometry.wide import MAX_DEPTH, WIDTH, Bvh8
+from termwise.renderer.geometry import bvh8, simd
+from termwise.renderer.geometry.bvh8 import MAX_DEPTH, STACK_SIZE, Bvh8
+from termwise.renderer.geometry.polygons import Polygons, polygons_of
 from termwise.renderer.jit import kernel
 
 LEAF_SIZE = 4
 BINS = 16
-# Descents push at most one node a level of the binary tree; of the wide one a node, a distance and a set of rays for
-# each of 8 children. A vector of 8 is stored where fewer count.
-STACK_SIZE = 3 * (WIDTH * MAX_DEPTH + WIDTH)
 _HALVING_DEPTH = 48
+
+__all__ = ["STACK_SIZE", "Tree", "build", "bytes_of"]
 
 
 class Tree(NamedTuple):
@@ -31,7 +31,8 @@ class Tree(NamedTuple):
     right : (N,) int32, the right child; 0 in a leaf.
     first, count : (N,) int32, the range of `order` in a leaf.
     order : (F,) int32 face indices.
-    wide : the same tree with 8 children a node, for rays; empty where the processor lacks the vectors.
+    bvh8 : the same tree with 8 children a node, for rays; empty where the processor lacks the vectors.
+    polygons : the faces without a tree, if they are few, and the processor has the vectors.
     """
 
     bounds: np.ndarray
@@ -39,7 +40,8 @@ class Tree(NamedTuple):
     first: np.ndarray
     count: np.ndarray
     order: np.ndarray
-    wide: Bvh8
+    bvh8: Bvh8
+    polygons: Polygons
 
 
 @kernel
@@ -181,13 +183,15 @@ def build(corners: np.ndarray) -> Tree:
         nodes = _build(lows, highs, bounds, right, first, count, order)
     bounds = bounds[:nodes].copy()
     right, first, count = right[:nodes].copy(), first[:nodes].copy(), count[:nodes].copy()
-    collapsed = wide.empty()
+    wide = bvh8.empty()
     if simd.available():
-        collapsed = wide.collapse(corners, bounds, right, first, count, order)
-    return Tree(bounds, right, first, count, order, collapsed)
+        wide = bvh8.collapse(corners, bounds, right, first, count, order)
+    few = order if simd.available() else order[:0]
+    polygons = polygons_of(corners, few, wide.center, wide.scale)
+    return Tree(bounds, right, first, count, order, wide, polygons)
 
 
 def bytes_of(tree: Tree) -> int:
     """Memory of the tree's arrays."""
-    arrays = (*tree, *tree.wide)
+    arrays = (*tree, *tree.bvh8, *tree.polygons)
     return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))

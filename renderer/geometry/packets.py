@@ -1,15 +1,15 @@
-"""Eight rays descended together: a packet inside a frustum, or a bundle of rays of any directions.
+"""Eight rays of a wave descended together: a packet inside a frustum, or a bundle of rays of any directions.
 
 A packet's rays have one main axis. Seen along this axis k_z, ray i is at depth z at `x = o_x + s_x z`,
 `y = o_y + s_y z`; the packet lies between the planes `x = min o_x + min s_x z` and `x = max o_x + max s_x z`, and so in
 y, and a box is passed over where it lies outside of one of them: one test of 8 boxes for 8 rays. It pays where
-triangles are larger than the packet is wide, and gives up when its work is no longer less than a bundle's. Where
-triangles are few the frustum is held against the box of each, 16 at a time, and there is no tree.
+triangles are larger than the packet is wide, and gives up when its work is no longer less than that of the same rays
+alone, or in a bundle.
 
 A bundle carries the set of rays that met a box down the tree: 8 rays against one box at a time, and one ray against 8
 boxes where one ray is left. It pays because rays that begin near each other go through the same nodes at first.
 
-The planes of both are padded as `wide_traverse` pads boxes, and triangles are tested in float64 by the expressions of
+The planes of both are padded as `bvh8_traverse` pads boxes, and triangles are tested in float64 by the expressions of
 `intersect_triangle`: faces and distances have the bits of single rays, in whatever company they come.
 """
 
@@ -17,8 +17,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.geometry.few import BLOCK, LANES
-from termwise.renderer.geometry.intersect import Hit, component, make_ray
+from termwise.renderer.geometry.bvh8 import HIGH, LEAF, LINKS, NODE, Bvh8
+from termwise.renderer.geometry.bvh8_traverse import (
+    DISTANCE_BITS,
+    MAX_INVERSE,
+    NEVER,
+    NODES,
+    PAD,
+    ROUND_UP,
+    Shear,
+    Triangles,
+    distances,
+    edges,
+    face_of,
+    triangles_of,
+)
+from termwise.renderer.geometry.intersect import component, make_ray
 from termwise.renderer.geometry.simd import (
     as_int,
     bits,
@@ -44,101 +58,14 @@ from termwise.renderer.geometry.simd import (
     store,
     widen,
 )
-from termwise.renderer.geometry.wide import HIGH, LEAF, LINKS, NODE, Bvh8
-from termwise.renderer.geometry.wide_traverse import (
-    DISTANCE_BITS,
-    KEYS,
-    MAX_INVERSE,
-    NEVER,
-    NODES,
-    PAD,
-    ROUND_UP,
-    Shear,
-    Triangles,
-    distances,
-    edges,
-    face_of,
-    triangles_of,
-)
+from termwise.renderer.geometry.wave import Wave
 from termwise.renderer.jit import device
-from termwise.renderer.memory import on_own_lines
 from termwise.renderer.vector import column, entry
 
 SIZE = 8
-# Groups that are traced as bundles after a packet that did not pay, or was none; twice as many each time.
-BACKOFF, MOST_BACKOFF = 4, 256
+MOST_BACKOFF = 256  # see `wave.BACKOFF`
 # Nodes, leaves and triangles that a packet may test: with more a bundle is faster.
 MUCH_WORK = 48
-# Triangles that a packet may test where they are few.
-MUCH_OF_FEW = 24
-
-
-class Rays8(NamedTuple):
-    """Eight rays and what they meet.
-
-    Attributes
-    ----------
-    origins, directions : (3, 8) float64 each.
-    first, end : (8,) int32, the faces first <= face < end that each ray passes because it leaves them.
-    target : (8,) int32, a face that hides nothing (-1: none).
-    t, b1, b2, face : (8,) float64, the last int32: the nearest hits, as `Hit` has them.
-    found : (8,) bool, whether anything is hit.
-    shears : (8, 8) float64 scratch.
-    numbers, axes : (10, 8) float32 and (3, 8) int32 scratch of `few.put_queries`.
-    backoff : (2, 2) int64, for nearest and for any hits: how many groups more are traced as bundles at once, and how
-        many after the next packet that does not pay.
-    """
-
-    origins: np.ndarray
-    directions: np.ndarray
-    first: np.ndarray
-    end: np.ndarray
-    target: np.ndarray
-    t: np.ndarray
-    b1: np.ndarray
-    b2: np.ndarray
-    face: np.ndarray
-    found: np.ndarray
-    shears: np.ndarray
-    numbers: np.ndarray
-    axes: np.ndarray
-    backoff: np.ndarray
-
-
-def new_rays8() -> Rays8:
-    """Make a group whose rays leave no face and aim at none."""
-    arrays = (
-        np.zeros((3, SIZE)),
-        np.ones((3, SIZE)),
-        np.full(SIZE, -1, np.int32),
-        np.zeros(SIZE, np.int32),
-        np.full(SIZE, -1, np.int32),
-        np.zeros(SIZE),
-        np.zeros(SIZE),
-        np.zeros(SIZE),
-        np.full(SIZE, -1, np.int32),
-        np.zeros(SIZE, np.bool_),
-        np.zeros((SIZE, 8)),
-        np.zeros((10, SIZE), np.float32),
-        np.zeros((3, SIZE), np.int32),
-        np.array([[0, BACKOFF], [0, BACKOFF]]),
-    )
-    return Rays8(*map(on_own_lines, arrays))
-
-
-@device
-def hit_of(group: Rays8, i: int) -> Hit:
-    """What ray i of a group has met."""
-    return Hit(group.t[i], entry(group.face, i), group.b1[i], group.b2[i])
-
-
-@device
-def put_hit(group: Rays8, i: int, hit: Hit) -> None:
-    """Write what ray i of a group has met."""
-    group.t[i] = hit.t
-    group.face[i] = hit.face
-    group.b1[i] = hit.b1
-    group.b2[i] = hit.b2
 
 
 class Packet(NamedTuple):
@@ -181,10 +108,10 @@ class Frustum(NamedTuple):
 
 
 @device
-def make_packet(wide: Bvh8, group: Rays8) -> Packet:
-    """Make a packet of a group of 8 rays."""
-    o = rows(group.origins)
-    d = rows(group.directions)
+def make_packet(wide: Bvh8, wave: Wave, at: int) -> Packet:
+    """Make a packet of 8 rays of a wave, from `at` on."""
+    o = rows(wave.origins, at)
+    d = rows(wave.directions, at)
     x = magnitude(d[0])
     y = magnitude(d[1])
     z = magnitude(d[2])
@@ -360,13 +287,13 @@ def _nothing(far: float) -> Hits:
 
 
 @device
-def _nearer(best: Hits, p: Packet, group: Rays8, hit: Triangles, face: int) -> tuple[Hits, int]:
+def _nearer(best: Hits, p: Packet, wave: Wave, at: int, hit: Triangles, face: int) -> tuple[Hits, int]:
     """The nearest hits with one triangle more, and which of them are new, as bits."""
     this = splat(np.int32(face), 8)
     scale = splat(1.0, 8) / hit.det
     t = distances(p.shear, hit, scale)
     better = hit.inside & (t > splat(0.0, 8)) & (t <= best.t)
-    better = better & ((this < load(group.first, 0, 8)) | (this >= load(group.end, 0, 8)))
+    better = better & ((this < load(wave.first, at, 8)) | (this >= load(wave.end, at, 8)))
     better = better & ((t < best.t) | (best.face < splat(np.int32(0), 8)) | (this < best.face))
     nearest = Hits(
         choose(better, t, best.t),
@@ -378,31 +305,31 @@ def _nearer(best: Hits, p: Packet, group: Rays8, hit: Triangles, face: int) -> t
 
 
 @device
-def _hidden(p: Packet, group: Rays8, hit: Triangles, face: int, far: float) -> int:
+def _hidden(p: Packet, wave: Wave, at: int, hit: Triangles, face: int, far: float) -> int:
     """Which of 8 rays a triangle hides, as bits."""
     this = splat(np.int32(face), 8)
-    counts = (this < load(group.first, 0, 8)) | (this >= load(group.end, 0, 8))
-    counts = counts & (this != load(group.target, 0, 8))
+    counts = (this < load(wave.first, at, 8)) | (this >= load(wave.end, at, 8))
+    counts = counts & (this != load(wave.target, at, 8))
     t = distances(p.shear, hit, splat(1.0, 8) / hit.det)
     return bits(hit.inside & counts & (t > splat(0.0, 8)) & (t < splat(far, 8)))
 
 
 @device
-def _put_hits(group: Rays8, hits: Hits) -> None:
-    store(group.t, 0, hits.t)
-    store(group.face, 0, hits.face)
-    store(group.b1, 0, hits.b1)
-    store(group.b2, 0, hits.b2)
+def _put_hits(wave: Wave, at: int, hits: Hits) -> None:
+    store(wave.t, at, hits.t)
+    store(wave.face, at, hits.face)
+    store(wave.b1, at, hits.b1)
+    store(wave.b2, at, hits.b2)
 
 
 @device
-def _put_found(group: Rays8, hidden: int) -> None:
+def _put_found(wave: Wave, at: int, hidden: int) -> None:
     for lane in range(SIZE):
-        group.found[lane] = (hidden >> lane) & 1 != 0
+        wave.found[at + lane] = (hidden >> lane) & 1 != 0
 
 
 @device
-def closest_hits_of_packet(wide: Bvh8, p: Packet, group: Rays8, far: float, stack: np.ndarray) -> bool:
+def closest_hits_of_packet(wide: Bvh8, p: Packet, wave: Wave, at: int, far: float, stack: np.ndarray) -> bool:
     """Write the nearest hits of 8 rays as `closest_hit` gives them; False: gave up, nothing written."""
     boxes = _frustum_of_boxes(wide, p)
     triangles = _frustum_of_triangles(p)
@@ -439,7 +366,7 @@ def closest_hits_of_packet(wide: Bvh8, p: Packet, group: Rays8, far: float, stac
                 lanes &= lanes - 1
                 hit = _triangle(wide.leaves, leaf, lane, p.shear)
                 if bits(hit.inside) != 0:
-                    best, new = _nearer(best, p, group, hit, face_of(wide.leaves, leaf, lane))
+                    best, new = _nearer(best, p, wave, at, hit, face_of(wide.leaves, leaf, lane))
                     nearer |= new
             if nearer != 0:
                 furthest = highest(best.t * p.speed)
@@ -453,12 +380,12 @@ def closest_hits_of_packet(wide: Bvh8, p: Packet, group: Rays8, far: float, stac
             break
         size -= 1
         node = entry(stack, NODES + size)
-    _put_hits(group, best)
+    _put_hits(wave, at, best)
     return True
 
 
 @device
-def any_hits_of_packet(wide: Bvh8, p: Packet, group: Rays8, far: float, stack: np.ndarray) -> bool:
+def any_hits_of_packet(wide: Bvh8, p: Packet, wave: Wave, at: int, far: float, stack: np.ndarray) -> bool:
     """Write what `any_hit` finds for 8 rays; False: gave up, nothing written."""
     boxes = _frustum_of_boxes(wide, p)
     triangles = _frustum_of_triangles(p)
@@ -485,101 +412,14 @@ def any_hits_of_packet(wide: Bvh8, p: Packet, group: Rays8, far: float, stack: n
                 lanes &= lanes - 1
                 hit = _triangle(wide.leaves, leaf, lane, p.shear)
                 if bits(hit.inside) != 0:
-                    hits |= _hidden(p, group, hit, face_of(wide.leaves, leaf, lane), far)
+                    hits |= _hidden(p, wave, at, hit, face_of(wide.leaves, leaf, lane), far)
             if hits == 255:
                 break
         if size == 0:
             break
         size -= 1
         node = entry(stack, size)
-    _put_found(group, hits)
-    return True
-
-
-@device
-def _of_few(wide: Bvh8, p: Packet, furthest: float) -> int:
-    """Which of few triangles the frustum may meet, by their own boxes, as bits."""
-    cx = component(wide.center, p.shear.kx // 8)
-    cy = component(wide.center, p.shear.ky // 8)
-    cz = component(wide.center, p.shear.kz // 8)
-    frustum = Frustum(
-        splat(np.float32((p.left - cx) * wide.scale), 16),
-        splat(np.float32((p.right - cx) * wide.scale), 16),
-        splat(np.float32((p.bottom - cy) * wide.scale), 16),
-        splat(np.float32((p.top - cy) * wide.scale), 16),
-        splat(np.float32((p.front - cz) * wide.scale), 16),
-        splat(np.float32((p.back - cz) * wide.scale), 16),
-        splat(np.float32(p.left_slope), 16),
-        splat(np.float32(p.right_slope), 16),
-        splat(np.float32(p.bottom_slope), 16),
-        splat(np.float32(p.top_slope), 16),
-        splat(np.float32(1.0 if p.forward else -1.0), 16),
-    )
-    reach = splat(np.float32(furthest * wide.scale * ROUND_UP), 16)
-    zero = splat(np.float32(0.0), 16)
-    found = 0
-    for block in range(len(wide.few.corners) // BLOCK):
-        start = block * BLOCK
-        x = _span16(wide.few.corners, start + 2 * p.shear.kx)
-        y = _span16(wide.few.corners, start + 2 * p.shear.ky)
-        z = _span16(wide.few.corners, start + 2 * p.shear.kz)
-        _, met = _cut(p, frustum, (x[0], y[0], z[0]), (x[1], y[1], z[1]), zero, reach)
-        found |= bits(met) << (LANES * block)
-    return found & ((1 << wide.few.count) - 1)
-
-
-@device
-def _span16(corners: np.ndarray, start: int) -> tuple:
-    """Least and greatest coordinate of 16 triangles along an axis."""
-    a = load(corners, start, 16)
-    b = load(corners, start + 3 * LANES, 16)
-    c = load(corners, start + 6 * LANES, 16)
-    return minimum(minimum(a, b), c), maximum(maximum(a, b), c)
-
-
-@device
-def _face(corners: np.ndarray, face: int, p: Packet) -> Triangles:
-    """`edges` of one face of corners (F, 3, 3) for 8 rays."""
-    x, y, z = p.shear.kx // 8, p.shear.ky // 8, p.shear.kz // 8
-    return edges(
-        (splat(corners[face, 0, x], 8), splat(corners[face, 0, y], 8), splat(corners[face, 0, z], 8)),
-        (splat(corners[face, 1, x], 8), splat(corners[face, 1, y], 8), splat(corners[face, 1, z], 8)),
-        (splat(corners[face, 2, x], 8), splat(corners[face, 2, y], 8), splat(corners[face, 2, z], 8)),
-        p.shear,
-    )
-
-
-@device
-def closest_hits_among_few(corners: np.ndarray, wide: Bvh8, p: Packet, group: Rays8, far: float) -> bool:
-    """Write the nearest hits of 8 rays as `closest_hit` gives them; False: gave up, nothing written."""
-    faces = _of_few(wide, p, highest(splat(far, 8) * p.speed))
-    if count_bits(faces) > MUCH_OF_FEW:
-        return False
-    best = _nothing(far)
-    while faces != 0:
-        face = lowest_bit(faces)
-        faces &= faces - 1
-        hit = _face(corners, face, p)
-        if bits(hit.inside) != 0:
-            best, _ = _nearer(best, p, group, hit, face)
-    _put_hits(group, best)
-    return True
-
-
-@device
-def any_hits_among_few(corners: np.ndarray, wide: Bvh8, p: Packet, group: Rays8, far: float) -> bool:
-    """Write what `any_hit` finds for 8 rays; False: gave up, nothing written."""
-    faces = _of_few(wide, p, highest(splat(far, 8) * p.speed))
-    if count_bits(faces) > MUCH_OF_FEW:
-        return False
-    hidden = 0
-    while faces != 0 and hidden != 255:
-        face = lowest_bit(faces)
-        faces &= faces - 1
-        hit = _face(corners, face, p)
-        if bits(hit.inside) != 0:
-            hidden |= _hidden(p, group, hit, face, far)
-    _put_found(group, hidden)
+    _put_found(wave, at, hits)
     return True
 
 
@@ -593,10 +433,10 @@ class Bundle(NamedTuple):
 
 
 @device
-def _write_shear(group: Rays8, i: int) -> None:
+def _write_shear(wave: Wave, at: int, i: int) -> None:
     """Keep origin and shear of ray i along its own axes, and these axes: divided for once, where a leaf asks first."""
-    ray = make_ray(column(group.origins, i), column(group.directions, i))
-    shears = group.shears
+    ray = make_ray(column(wave.origins, at + i), column(wave.directions, at + i))
+    shears = wave.shears
     shears[i, 0] = component(ray.origin, ray.kx)
     shears[i, 1] = component(ray.origin, ray.ky)
     shears[i, 2] = component(ray.origin, ray.kz)
@@ -629,10 +469,10 @@ def _axis(wide: Bvh8, origin: int, direction: int, center: float, largest: int, 
 
 
 @device
-def make_bundle(wide: Bvh8, group: Rays8, far: float) -> Bundle:
+def make_bundle(wide: Bvh8, wave: Wave, at: int, far: float) -> Bundle:
     """Make a bundle of rays of any directions."""
-    o = rows(group.origins)
-    d = rows(group.directions)
+    o = rows(wave.origins, at)
+    d = rows(wave.directions, at)
     largest = maximum(magnitude(d[0]), maximum(magnitude(d[1]), magnitude(d[2])))
     distance = maximum(
         magnitude(o[0] - splat(wide.center.x, 8)),
@@ -678,9 +518,9 @@ def _slab_alone(nodes: np.ndarray, start: int, b: Bundle, ray: int) -> tuple:
 
 
 @device
-def any_hits_of_bundle(wide: Bvh8, group: Rays8, count: int, far: float, stack: np.ndarray) -> None:
-    """Write what `any_hit` finds for the first `count` rays of a group, of any directions."""
-    bundle = make_bundle(wide, group, far)
+def any_hits_of_bundle(wide: Bvh8, wave: Wave, at: int, count: int, far: float, stack: np.ndarray) -> None:
+    """Write what `any_hit` finds for `count` rays of a wave from `at` on, of any directions."""
+    bundle = make_bundle(wide, wave, at, far)
     written = 0
     active = (1 << count) - 1
     searching = active
@@ -714,9 +554,9 @@ def any_hits_of_bundle(wide: Bvh8, group: Rays8, count: int, far: float, stack: 
                 i = lowest_bit(active)
                 active &= active - 1
                 if (written >> i) & 1 == 0:
-                    _write_shear(group, i)
+                    _write_shear(wave, at, i)
                     written |= 1 << i
-                shear = _read_shear(group.shears, i)
+                shear = _read_shear(wave.shears, i)
                 hit = triangles_of(wide.leaves, leaf, shear)
                 if bits(hit.inside) != 0:
                     t = distances(shear, hit, splat(1.0, 8) / hit.det)
@@ -724,7 +564,7 @@ def any_hits_of_bundle(wide: Bvh8, group: Rays8, count: int, far: float, stack: 
                     while lanes != 0:
                         this = face_of(wide.leaves, leaf, lowest_bit(lanes))
                         lanes &= lanes - 1
-                        if (this < group.first[i] or this >= group.end[i]) and this != group.target[i]:
+                        if (this < wave.first[at + i] or this >= wave.end[at + i]) and this != wave.target[at + i]:
                             searching &= ~(1 << i)
                             break
         active = 0
@@ -735,103 +575,4 @@ def any_hits_of_bundle(wide: Bvh8, group: Rays8, count: int, far: float, stack: 
             break
         node = entry(stack, NODES + size)
     for lane in range(SIZE):
-        group.found[lane] = (searching >> lane) & 1 == 0
-
-
-@device
-def closest_hits_of_bundle(wide: Bvh8, group: Rays8, count: int, far: float, stack: np.ndarray) -> None:
-    """Write the nearest hits of the first `count` rays of a group, of any directions, as `closest_hit` gives them."""
-    t = group.t
-    face = group.face
-    bundle = make_bundle(wide, group, far)
-    written = 0
-    d = rows(group.directions)
-    largest = maximum(magnitude(d[0]), maximum(magnitude(d[1]), magnitude(d[2])))
-    speed = largest * splat(wide.scale * ROUND_UP, 8)
-    reach = bundle.reach
-    store(t, 0, splat(far, 8))
-    store(face, 0, splat(np.int32(-1), 8))
-    active = (1 << count) - 1
-    size = 0
-    node = 0
-    while len(wide.nodes) > 0:
-        if node >= 0:
-            start = node * NODE
-            if active & (active - 1) == 0:
-                enter, leave = _slab_alone(wide.nodes, start, bundle, lowest_bit(active))
-                links = load_ints(wide.nodes, start + LINKS, 8)
-                met8 = (enter <= minimum(leave, splat(extract(reach, lowest_bit(active)), 8))) & (
-                    links != splat(np.int32(0), 8)
-                )
-                lanes = bits(met8)
-                if lanes != 0:
-                    keys = (as_int(enter) & splat(DISTANCE_BITS, 8)) | numbers(8)
-                    nearest = smallest(choose(met8, keys, splat(NEVER, 8)))
-                    rest = met8 & (keys != splat(nearest, 8))
-                    store(stack, size, splat(np.int32(active), 8))
-                    store(stack, KEYS + size, compress(keys, rest))
-                    store(stack, NODES + size, compress(links, rest))
-                    size += count_bits(lanes) - 1
-                    node = load_int(wide.nodes, start + LINKS + (np.int64(nearest) & 7))
-                    continue
-            else:
-                near = NEVER
-                bottom = size
-                for lane in range(8):
-                    link = load_int(wide.nodes, start + LINKS + lane)
-                    if link == 0:
-                        break
-                    enter, leave = _slab(wide.nodes, start + lane, bundle)
-                    met = bits(enter <= minimum(leave, reach)) & active
-                    if met != 0:
-                        key = smallest(choose(enter <= minimum(leave, reach), as_int(enter), splat(NEVER, 8)))
-                        # The nearest child stays on top.
-                        if size > bottom and key > near:
-                            stack[size], stack[KEYS + size], stack[NODES + size] = (
-                                stack[size - 1],
-                                stack[KEYS + size - 1],
-                                stack[NODES + size - 1],
-                            )
-                            stack[size - 1], stack[KEYS + size - 1], stack[NODES + size - 1] = met, key, link
-                        else:
-                            stack[size], stack[KEYS + size], stack[NODES + size] = met, key, link
-                            near = key
-                        size += 1
-        else:
-            leaf = -1 - node
-            changed = False
-            while active != 0:
-                i = lowest_bit(active)
-                active &= active - 1
-                if (written >> i) & 1 == 0:
-                    _write_shear(group, i)
-                    written |= 1 << i
-                shear = _read_shear(group.shears, i)
-                hit = triangles_of(wide.leaves, leaf, shear)
-                if bits(hit.inside) != 0:
-                    scale = splat(1.0, 8) / hit.det
-                    distance = distances(shear, hit, scale)
-                    lanes = bits(hit.inside & (distance > splat(0.0, 8)) & (distance <= splat(t[i], 8)))
-                    while lanes != 0:
-                        lane = lowest_bit(lanes)
-                        lanes &= lanes - 1
-                        this = extract(distance, lane)
-                        other = face_of(wide.leaves, leaf, lane)
-                        if (other < group.first[i] or other >= group.end[i]) and (
-                            this < t[i] or (this == t[i] and (face[i] < 0 or other < face[i]))
-                        ):
-                            t[i] = this
-                            face[i] = other
-                            group.b1[i] = extract(hit.v, lane) * extract(scale, lane)
-                            group.b2[i] = extract(hit.w, lane) * extract(scale, lane)
-                            changed = True
-            if changed:
-                reach = narrow(load(t, 0, 8) * speed)
-        active = 0
-        while size > 0 and active == 0:
-            size -= 1
-            key = entry(stack, KEYS + size)
-            active = entry(stack, size) & bits(splat(np.int32(key), 8) & splat(DISTANCE_BITS, 8) <= as_int(reach))
-        if active == 0:
-            break
-        node = entry(stack, NODES + size)
+        wave.found[at + lane] = (searching >> lane) & 1 == 0

@@ -1,37 +1,51 @@
-"""`closest_hit` and `any_hit` as this machine computes them best, singly and in groups of 8 rays.
+"""`closest_hit` and `any_hit` as this machine computes them best, singly and in waves of up to 64 rays.
 
-Both descents meet the same face at the same t: the wide tree's, eight boxes or triangles at a time, and the binary
-tree's, the reference, which needs no vectors. A group is traced as a packet where that pays, else as a bundle. Among
-few triangles packets need no tree, nor does any hit of other rays.
+All meet the same face at the same t: the descent of the binary tree, the reference, which needs no vectors; that of
+the tree of 8 children, eight boxes or triangles at a time; and among few polygons float32, as far as it is sure. What
+is left of a wave is traced in eights, as packets where that pays, else singly, or, for any hit, as bundles.
 """
 
 import numpy as np
 
-from termwise.renderer.geometry import packets, simd, traverse, wide_traverse
+from termwise.renderer.geometry import bvh8_traverse, packets, simd, traverse
 from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
-from termwise.renderer.geometry.few import DOUBT, HIT, answer, any_hit_of_few, put_queries, query_of
 from termwise.renderer.geometry.intersect import NOTHING, FaceRange, Hit, Ray, make_ray
-from termwise.renderer.geometry.packets import Rays8, put_hit
-from termwise.renderer.jit import device, kernel
+from termwise.renderer.geometry.polygons import (
+    DOUBT,
+    HIT,
+    any_hit_among_polygons,
+    any_hits_among_polygons,
+    closest_hits_among_polygons,
+    first_bits,
+)
+from termwise.renderer.geometry.simd import lowest_bit
+from termwise.renderer.geometry.wave import BACKOFF, SIZE, Wave, put_hit
+from termwise.renderer.jit import device, kernel, subroutine
 from termwise.renderer.vector import column, vec3
 
 _VECTORS = simd.available()
 _NEAREST, _ANY = range(2)
+_EIGHT = 255
 
 
 @device
-def _hopeful(group: Rays8, kind: int) -> bool:
+def _hopeful(wave: Wave, kind: int) -> bool:
     """Whether a packet of this kind is tried: not for a while after one that did not pay."""
-    if group.backoff[kind, 0] > 0:
-        group.backoff[kind, 0] -= 1
+    if wave.backoff[kind, 0] > 0:
+        wave.backoff[kind, 0] -= 1
         return False
     return True
 
 
 @device
-def _give_up(group: Rays8, kind: int) -> None:
-    group.backoff[kind, 0] = group.backoff[kind, 1]
-    group.backoff[kind, 1] = min(2 * group.backoff[kind, 1], packets.MOST_BACKOFF)
+def _give_up(wave: Wave, kind: int) -> None:
+    wave.backoff[kind, 0] = wave.backoff[kind, 1]
+    wave.backoff[kind, 1] = min(2 * wave.backoff[kind, 1], packets.MOST_BACKOFF)
+
+
+@device
+def _ray_of(wave: Wave, i: int) -> Ray:
+    return make_ray(column(wave.origins, i), column(wave.directions, i))
 
 
 if _VECTORS:
@@ -39,105 +53,104 @@ if _VECTORS:
     @device
     def closest_hit(corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray) -> Hit:
         """Nearest hit at 0 < t <= far on any face but those of `ignore`; `stack` is int32 scratch of STACK_SIZE."""
-        return wide_traverse.closest_hit(tree.wide, ray, far, ignore, stack)
+        return bvh8_traverse.closest_hit(tree.bvh8, ray, far, ignore, stack)
 
     @device
     def any_hit(
         corners: np.ndarray, tree: Tree, ray: Ray, far: float, ignore: FaceRange, target: int, stack: np.ndarray
     ) -> bool:
         """Whether a face other than `target` and those of `ignore` is hit at 0 < t < far."""
-        if len(tree.wide.few.corners) > 0:
-            found = any_hit_of_few(tree.wide.few, ray, far, ignore, target)
+        if tree.polygons.count > 0:
+            found = any_hit_among_polygons(tree.polygons, ray, far, ignore, target)
             if found != DOUBT:
                 return found == HIT
-        return wide_traverse.any_hit(tree.wide, ray, far, ignore, target, stack)
+        return bvh8_traverse.any_hit(tree.bvh8, ray, far, ignore, target, stack)
 
     @device
-    def closest_hits_of_group(
-        corners: np.ndarray, tree: Tree, group: Rays8, count: int, far: float, coherent: bool, stack: np.ndarray
+    def _closest_hits_of_packet(tree: Tree, wave: Wave, at: int, far: float, stack: np.ndarray) -> bool:
+        """Whether 8 rays were a packet that paid, whose hits are then written."""
+        if not _hopeful(wave, _NEAREST):
+            return False
+        packet = packets.make_packet(tree.bvh8, wave, at)
+        if packet.coherent and packets.closest_hits_of_packet(tree.bvh8, packet, wave, at, far, stack):
+            wave.backoff[_NEAREST, 1] = BACKOFF
+            return True
+        _give_up(wave, _NEAREST)
+        return False
+
+    @subroutine
+    def closest_hits_of_wave(
+        corners: np.ndarray, tree: Tree, wave: Wave, count: int, far: float, coherent: bool, stack: np.ndarray
     ) -> None:
-        """Write what `closest_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
-        if coherent and count == packets.SIZE and _hopeful(group, _NEAREST):
-            packet = packets.make_packet(tree.wide, group)
-            if packet.coherent and (
-                packets.closest_hits_among_few(corners, tree.wide, packet, group, far)
-                if len(tree.wide.few.corners) > 0
-                else packets.closest_hits_of_packet(tree.wide, packet, group, far, stack)
-            ):
-                group.backoff[_NEAREST, 1] = packets.BACKOFF
-                return
-            _give_up(group, _NEAREST)
-        packets.closest_hits_of_bundle(tree.wide, group, count, far, stack)
+        """Write what `closest_hit` gives for the first `count` rays of a wave; `coherent`: a packet may pay."""
+        left = first_bits(count)
+        if tree.polygons.count > 0:
+            left = closest_hits_among_polygons(corners, tree.polygons, wave, count, far)
+        elif coherent:
+            for at in range(0, count - packets.SIZE + 1, packets.SIZE):
+                if _closest_hits_of_packet(tree, wave, at, far, stack):
+                    left &= ~(_EIGHT << at)
+        while left != 0:
+            i = lowest_bit(left)
+            left &= left - 1
+            ray = make_ray(column(wave.origins, i), column(wave.directions, i))
+            ignore = FaceRange(wave.first[i], wave.end[i])
+            put_hit(wave, i, bvh8_traverse.closest_hit(tree.bvh8, ray, far, ignore, stack))
 
     @device
-    def _any_hits_of_few(tree: Tree, group: Rays8, count: int, far: float, stack: np.ndarray) -> None:
-        """Write what `any_hit` gives for the first `count` rays of a group, where triangles are few."""
-        doubts = 0
-        put_queries(tree.wide.few, group.origins, group.directions, far, group.numbers, group.axes)
-        for i in range(count):
-            ignore = FaceRange(group.first[i], group.end[i])
-            asked = query_of(group.numbers, group.axes, i)
-            found = answer(tree.wide.few, asked, ignore, group.target[i])
-            group.found[i] = found == HIT
-            if found == DOUBT:
-                doubts |= 1 << i
-        # In a loop of its own: what a descent needs would not leave the registers to the loop above.
-        for i in range(count):
-            if (doubts >> i) & 1 != 0:
-                ray = make_ray(column(group.origins, i), column(group.directions, i))
-                ignore = FaceRange(group.first[i], group.end[i])
-                group.found[i] = wide_traverse.any_hit(tree.wide, ray, far, ignore, group.target[i], stack)
-
-    @device
-    def any_hits_of_group(
-        corners: np.ndarray, tree: Tree, group: Rays8, count: int, far: float, coherent: bool, stack: np.ndarray
+    def _any_hits_of_eight(
+        tree: Tree, wave: Wave, at: int, count: int, far: float, coherent: bool, stack: np.ndarray
     ) -> None:
-        """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
-        if coherent and count == packets.SIZE and _hopeful(group, _ANY):
-            packet = packets.make_packet(tree.wide, group)
-            if packet.coherent and (
-                packets.any_hits_among_few(corners, tree.wide, packet, group, far)
-                if len(tree.wide.few.corners) > 0
-                else packets.any_hits_of_packet(tree.wide, packet, group, far, stack)
-            ):
-                group.backoff[_ANY, 1] = packets.BACKOFF
+        if coherent and count == packets.SIZE and _hopeful(wave, _ANY):
+            packet = packets.make_packet(tree.bvh8, wave, at)
+            if packet.coherent and packets.any_hits_of_packet(tree.bvh8, packet, wave, at, far, stack):
+                wave.backoff[_ANY, 1] = BACKOFF
                 return
-            _give_up(group, _ANY)
-        if len(tree.wide.few.corners) > 0:
-            _any_hits_of_few(tree, group, count, far, stack)
-            return
-        packets.any_hits_of_bundle(tree.wide, group, count, far, stack)
+            _give_up(wave, _ANY)
+        packets.any_hits_of_bundle(tree.bvh8, wave, at, count, far, stack)
+
+    @subroutine
+    def any_hits_of_wave(
+        corners: np.ndarray, tree: Tree, wave: Wave, count: int, far: float, coherent: bool, stack: np.ndarray
+    ) -> None:
+        """Write what `any_hit` gives for the first `count` rays of a wave; `coherent`: a packet may pay."""
+        left = first_bits(count)
+        if tree.polygons.count > 0:
+            left = any_hits_among_polygons(tree.polygons, wave, count, far)
+            coherent = False
+        for at in range(0, count, packets.SIZE):
+            if (left >> at) & _EIGHT != 0:
+                _any_hits_of_eight(tree, wave, at, min(packets.SIZE, count - at), far, coherent, stack)
 
 else:
-    closest_hit, any_hit = traverse.closest_hit, traverse.any_hit
+    closest_hit = traverse.closest_hit
+    any_hit = traverse.any_hit
 
-    @device
-    def closest_hits_of_group(
-        corners: np.ndarray, tree: Tree, group: Rays8, count: int, far: float, coherent: bool, stack: np.ndarray
+    @subroutine
+    def closest_hits_of_wave(
+        corners: np.ndarray, tree: Tree, wave: Wave, count: int, far: float, coherent: bool, stack: np.ndarray
     ) -> None:
-        """Write what `closest_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
+        """Write what `closest_hit` gives for the first `count` rays of a wave."""
         for i in range(count):
-            ray = make_ray(column(group.origins, i), column(group.directions, i))
-            ignore = FaceRange(group.first[i], group.end[i])
-            put_hit(group, i, traverse.closest_hit(corners, tree, ray, far, ignore, stack))
+            ignore = FaceRange(wave.first[i], wave.end[i])
+            put_hit(wave, i, closest_hit(corners, tree, _ray_of(wave, i), far, ignore, stack))
 
-    @device
-    def any_hits_of_group(
-        corners: np.ndarray, tree: Tree, group: Rays8, count: int, far: float, coherent: bool, stack: np.ndarray
+    @subroutine
+    def any_hits_of_wave(
+        corners: np.ndarray, tree: Tree, wave: Wave, count: int, far: float, coherent: bool, stack: np.ndarray
     ) -> None:
-        """Write what `any_hit` gives for the first `count` rays of a group; `coherent`: a packet may pay."""
+        """Write what `any_hit` gives for the first `count` rays of a wave."""
         for i in range(count):
-            ray = make_ray(column(group.origins, i), column(group.directions, i))
-            ignore = FaceRange(group.first[i], group.end[i])
-            group.found[i] = traverse.any_hit(corners, tree, ray, far, ignore, group.target[i], stack)
+            ignore = FaceRange(wave.first[i], wave.end[i])
+            wave.found[i] = any_hit(corners, tree, _ray_of(wave, i), far, ignore, wave.target[i], stack)
 
 
 @device
-def _load_group(origins: np.ndarray, directions: np.ndarray, row: int, count: int, group: Rays8) -> None:
+def _load_wave(origins: np.ndarray, directions: np.ndarray, row: int, count: int, wave: Wave) -> None:
     for axis in range(3):
         for i in range(count):
-            group.origins[axis, i] = origins[row + i, axis]
-            group.directions[axis, i] = directions[row + i, axis]
+            wave.origins[axis, i] = origins[row + i, axis]
+            wave.directions[axis, i] = directions[row + i, axis]
 
 
 @kernel
@@ -149,17 +162,17 @@ def closest_hits(
     far: float,
     t: np.ndarray,
     face: np.ndarray,
-    group: Rays8,
+    wave: Wave,
 ) -> None:
     """Distance t (N,) and face (N,) int32 of the nearest hit of rays (N, 3), (N, 3); far and -1 where none is."""
     stack = np.empty(STACK_SIZE, np.int32)
-    for row in range(0, len(origins), packets.SIZE):
-        count = min(packets.SIZE, len(origins) - row)
-        _load_group(origins, directions, row, count, group)
-        closest_hits_of_group(corners, tree, group, count, far, True, stack)
+    for row in range(0, len(origins), SIZE):
+        count = min(SIZE, len(origins) - row)
+        _load_wave(origins, directions, row, count, wave)
+        closest_hits_of_wave(corners, tree, wave, count, far, True, stack)
         for i in range(count):
-            t[row + i] = group.t[i]
-            face[row + i] = group.face[i]
+            t[row + i] = wave.t[i]
+            face[row + i] = wave.face[i]
 
 
 @kernel
@@ -170,16 +183,16 @@ def any_hits(
     directions: np.ndarray,
     far: float,
     found: np.ndarray,
-    group: Rays8,
+    wave: Wave,
 ) -> None:
     """Whether each ray hits anything nearer than `far`: (N,) bool."""
     stack = np.empty(STACK_SIZE, np.int32)
-    for row in range(0, len(origins), packets.SIZE):
-        count = min(packets.SIZE, len(origins) - row)
-        _load_group(origins, directions, row, count, group)
-        any_hits_of_group(corners, tree, group, count, far, True, stack)
+    for row in range(0, len(origins), SIZE):
+        count = min(SIZE, len(origins) - row)
+        _load_wave(origins, directions, row, count, wave)
+        any_hits_of_wave(corners, tree, wave, count, far, True, stack)
         for i in range(count):
-            found[row + i] = group.found[i]
+            found[row + i] = wave.found[i]
 
 
 @kernel

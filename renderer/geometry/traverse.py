@@ -8,8 +8,8 @@ Traversal", JCGT 2(2), 2013) is not enough for rays aimed at edges: 1 in 100 of 
 of all faces, one ulp further, as the nearer one's box began an ulp behind its triangle.
 Of two faces at the same distance the lower index is hit, whatever the order of descent.
 
-This is the reference of the wide tree's descent (`wide_traverse`), which must meet the same faces, and what runs where
-vectors are not available; callers take either from `rays`.
+This is the reference of the descent with 8 children (`bvh8_traverse`), which must meet the same faces, and what runs
+where vectors are not available; callers take either from `rays`.
 """
 
 import math

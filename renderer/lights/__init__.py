@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # they hold what is defined here
     from termwise.renderer.arrays import SceneArrays
     from termwise.renderer.surface import Surface
 
-_BELOW_ONE = 1.0 - 2.0**-53
+BELOW_ONE = 1.0 - 2.0**-53
 
 # A kind of light is a module. For a scene it has SOURCE, the class whose values it reads, DRAWS, whether its samples of
 # one light differ, `from_scene`, its arrays, which have a row and a `strength` for each emitter, or None, and `power`;
@@ -210,7 +210,7 @@ def pick(cdf: np.ndarray, u: float) -> tuple[int, float, float]:
         high = high if behind else middle
     before = cdf[low]
     probability = cdf[low + 1] - before
-    return low, probability, min((u - before) / probability, _BELOW_ONE)
+    return low, probability, min((u - before) / probability, BELOW_ONE)
 
 
 @device
@@ -231,7 +231,7 @@ def pick_by_light(scene: SceneArrays, surface: Surface, u: float) -> tuple[int, 
             if left < may:
                 break
             left -= may
-    return last, its / total, min(rest / its, _BELOW_ONE)
+    return last, its / total, min(rest / its, BELOW_ONE)
 
 
 @device

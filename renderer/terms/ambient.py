@@ -23,7 +23,7 @@ import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.film import most_of, next_hits, no_hits, resolve_occlusion, samples_of
-from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sampled_side, sees_all_ambient, side_of, whole_color
 from termwise.renderer.scratch import Scratch
@@ -192,6 +192,7 @@ def _occlusion(
                 begin, end = samples_of(scratch.index[i], hits.split, hits.first, hits.last)
                 for sample in range(begin, end):
                     scratch.column[waiting] = scratch.x[i]
+                    scratch.row[waiting] = scratch.y[i]
                     if asks:
                         # Its direction is the normal until `_draw_directions` has drawn one.
                         put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
@@ -203,9 +204,9 @@ def _occlusion(
                     put(scratch.radiance, waiting, radiance)
                     put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
                     waiting += 1
-            if waiting + most_of(hits.last, hits.split) > SIZE or (hits.ends_row and i + 1 == hits.count):
+            if waiting + most_of(hits.last, hits.split) > SIZE or (hits.ends_tile and i + 1 == hits.count):
                 _draw_directions(scene, rule, asking, scratch)
-                resolve_occlusion(scene, waiting, asking, ambient_reach(scene, rule), False, hits.y, out, scratch)
+                resolve_occlusion(scene, waiting, asking, ambient_reach(scene, rule), False, out, scratch)
                 waiting = 0
                 asking = 0
 

@@ -41,9 +41,9 @@ def _seen(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
             if surface.face < 0:
                 origin = column(scratch.primary.origins, i)
                 direction = column(scratch.primary.directions, i)
-                accumulate(out, hits.y, scratch.x[i], _beyond(scene, scene.emitters.suns, origin, direction))
+                accumulate(out, scratch.y[i], scratch.x[i], _beyond(scene, scene.emitters.suns, origin, direction))
             elif scene.draw_lights and surface.side > 0.0:
-                accumulate(out, hits.y, scratch.x[i], emission(scene, surface.face, surface.b1, surface.b2))
+                accumulate(out, scratch.y[i], scratch.x[i], emission(scene, surface.face, surface.b1, surface.b2))
 
 
 VARIANTS = (

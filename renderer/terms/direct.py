@@ -8,15 +8,16 @@ both, and a path goes on to one of them, with its share.
 """
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, SceneArrays
-from termwise.renderer.film import accumulate, next_hits, no_hits, resolve_occlusion, sampler_of
+from termwise.renderer.film import accumulate, next_hits, no_hits, resolve_occlusion
 from termwise.renderer.geometry.intersect import make_ray
-from termwise.renderer.geometry.packets import SIZE
+from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device, kernel
+from termwise.renderer.light_sampling import sample_lights
 from termwise.renderer.lights import sample_light
 from termwise.renderer.material import diffuse_weight, scattered
 from termwise.renderer.photon_map import PhotonMap, estimate_irradiance
@@ -24,10 +25,36 @@ from termwise.renderer.photon_search import nearest_irradiance
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
-from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of, trace, turned
+from termwise.renderer.surface import (
+    Surface,
+    occlude_wave,
+    occluded,
+    put_leaving_ray,
+    shadowed,
+    surface_of,
+    trace,
+    trace_wave,
+    turned,
+)
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
-from termwise.renderer.vector import Vec3, add, frame, is_black, mad, max_component, mul, put, scale, to_world
+from termwise.renderer.vector import (
+    Vec3,
+    add,
+    column,
+    entry,
+    frame,
+    is_black,
+    mad,
+    max_component,
+    mul,
+    negate,
+    put,
+    put_column,
+    scale,
+    to_world,
+    vec3,
+)
 from termwise.renderer.warp import INV_PI
 from termwise.scenes import limits
 from termwise.scenes.limits import Kernel, Limit
@@ -43,7 +70,7 @@ _PATH = 64  # keys of a path's vertices: beyond the pairs above
 def light_irradiance(scene: SceneArrays, surface: Surface, sampler: Sampler, dimension: int, scratch: Scratch) -> Vec3:
     """E / pi of both sides of a surface, one sample; uses the pair `dimension`."""
     u, v = sample_2d(sampler, dimension)
-    return _light(scene, scene.materials.translucency, surface, u, v, scratch)
+    return _light_of_both(scene, scene.materials.translucency, surface, u, v, scratch)
 
 
 @device
@@ -53,7 +80,7 @@ def _of_both(front: Vec3, back: Vec3, share: float) -> Vec3:
 
 
 @device
-def _light(
+def _light_of_both(
     scene: SceneArrays, translucency: np.ndarray | None, surface: Surface, u: float, v: float, scratch: Scratch
 ) -> Vec3:
     front = _light_of_side(scene, surface, u, v, scratch)
@@ -74,6 +101,18 @@ def _light_of_side(scene: SceneArrays, surface: Surface, u: float, v: float, scr
 
 
 @device
+def gain(throughput: Vec3, irradiance: Vec3) -> Vec3:
+    """What a vertex adds to its path by the light that arrives there."""
+    return mul(throughput, irradiance)
+
+
+@device
+def survives(survival: float, u: float) -> bool:
+    """Whether a path goes on."""
+    return u < survival
+
+
+@device
 def direct_next_event(
     scene: SceneArrays, photons: PhotonMap, surface: Surface, sampler: Sampler, scratch: Scratch
 ) -> Vec3:
@@ -85,7 +124,7 @@ def direct_next_event(
     if scene.skips.diffuse and is_black(weight):
         return weight
     straight = light_irradiance(scene, surface, sampler, LIGHT, scratch)
-    return _reflected(scene, surface, straight, density_irradiance(scene, photons, surface, scratch))
+    return _reflected(scene, weight, straight, density_irradiance(scene, photons, surface, scratch))
 
 
 @device
@@ -126,9 +165,8 @@ def _by_nearest_of_both(
 
 
 @device
-def _reflected(scene: SceneArrays, surface: Surface, straight: Vec3, scattered: Vec3) -> Vec3:
-    """Radiance by E / pi that arrives straight, and by E that was scattered."""
-    weight = diffuse_weight(scene, surface)
+def _reflected(scene: SceneArrays, weight: Vec3, straight: Vec3, scattered: Vec3) -> Vec3:
+    """Radiance by E / pi that arrives straight, and by E that was scattered, of a diffuse lobe's weight."""
     return scale(mul(weight, mad(scattered, INV_PI, straight)), scene.irradiance_factor)
 
 
@@ -145,7 +183,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
     radiance = Vec3(0.0, 0.0, 0.0)
     vertex = 0
     while True:
-        radiance = add(radiance, mul(throughput, light_irradiance(scene, surface, sampler, LIGHT, scratch)))
+        radiance = add(radiance, gain(throughput, light_irradiance(scene, surface, sampler, LIGHT, scratch)))
         u, v = sample_2d(sampler, BOUNCE)
         direction = to_world(frame(surface.normal), scattered(scene.materials.translucency, surface, u, v))
         surface = trace(scene, make_ray(surface.point, direction), surface.face, scratch)
@@ -153,7 +191,7 @@ def direct_path(scene: SceneArrays, surface: Surface, sampler: Sampler, scratch:
             break
         throughput = mul(throughput, diffuse_weight(scene, surface))
         survival = min(scene.most_survival, max_component(throughput) / FAINT)
-        if sample_1d(sampler, ROULETTE) >= survival:
+        if not survives(survival, sample_1d(sampler, ROULETTE)):
             break
         throughput = scale(throughput, 1.0 / survival)
         vertex += 1
@@ -181,108 +219,307 @@ def direct_nearest(
 
 
 @device
-def _draw_light_points(scene: SceneArrays, count: int, scratch: Scratch) -> None:
-    """Draw the points of the light samples of the first `count` primary hits: the k-th of hit i is point `8 k + i`.
+def _of_side(translucency: np.ndarray | None, straight: Vec3, share: float) -> Vec3:
+    """What one side of a surface receives, times its share."""
+    return straight if translucency is None else scale(straight, share)
 
-    In a loop of its own, which is vectorised.
+
+@device
+def _light(scene: SceneArrays, waiting: int, out: np.ndarray, scratch: Scratch) -> None:
+    """Sample the light of the points that wait, weights in `radiance` and E that was scattered in `hidden`, and add it.
+
+    In the order in which they wait, each to its pixel.
     """
-    if not scene.emitters.drawn:
-        return
-    for k in range(scene.light_samples):
-        for i in range(count):
-            sample = np.uint32(scene.light_samples * scratch.index[i] + k)
-            sampler = Sampler(scratch.pixel[i], sample)
-            scratch.u[SIZE * k + i], scratch.v[SIZE * k + i] = sample_2d(sampler, LIGHT)
+    samples = scratch.samples
+    # In a loop of its own, which is vectorised.
+    if scene.emitters.drawn:
+        for i in range(waiting):
+            samples.u[i], samples.v[i] = sample_2d(Sampler(scratch.key[i], scratch.sample[i]), LIGHT)
+    sample_lights(scene, samples, waiting)
+    share = 1.0 / scene.light_samples
+    asking = 0
+    for i in range(waiting):
+        weight, bounced, straight = vec3(scratch.radiance, i), vec3(scratch.hidden, i), column(samples.irradiance, i)
+        straight = _of_side(scene.materials.translucency, straight, scratch.share[i])
+        put(scratch.hidden, i, scale(_reflected(scene, weight, Vec3(0.0, 0.0, 0.0), bounced), share))
+        put(scratch.radiance, i, scale(_reflected(scene, weight, straight, bounced), share))
+        if not (scene.skips.horizon and is_black(straight)):
+            put_leaving_ray(scene, scratch.rays, asking, column(samples.point, i), entry(samples.face, i))
+            put_column(scratch.rays.directions, asking, column(samples.way, i))
+            scratch.rays.target[asking] = samples.target[i]
+            scratch.lane[asking] = i
+            asking += 1
+    resolve_occlusion(scene, waiting, asking, 1.0, True, out, scratch)
 
 
 @device
-def _lanes(scene: SceneArrays, translucency: np.ndarray | None) -> int:
-    """The most shadow rays of a primary hit."""
-    if translucency is None:
-        return scene.light_samples
-    return 2 * scene.light_samples
+def _wait(
+    i: int, number: int, surface: Surface, weight: Vec3, bounced: Vec3, share: float, waiting: int, scratch: Scratch
+) -> int:
+    """Let light sample `number` of primary hit i wait, of the side of `surface`; how many wait then."""
+    scratch.column[waiting] = scratch.x[i]
+    scratch.row[waiting] = scratch.y[i]
+    scratch.key[waiting] = scratch.pixel[i]
+    scratch.sample[waiting] = number
+    scratch.share[waiting] = share
+    put(scratch.radiance, waiting, weight)
+    put(scratch.hidden, waiting, bounced)
+    put_column(scratch.samples.point, waiting, surface.point)
+    put_column(scratch.samples.normal, waiting, surface.normal)
+    scratch.samples.face[waiting] = surface.face
+    return waiting + 1
 
 
 @device
-def _of_front(translucency: np.ndarray | None, surface: Surface, straight: Vec3) -> Vec3:
-    """What a surface receives on the viewer's side, times that side's share."""
-    if translucency is None:
-        return straight
-    return scale(straight, 1.0 - translucency[surface.object])
-
-
-@device
-def _ask_back(
-    scene: SceneArrays,
+def _wait_on_both(
     translucency: np.ndarray | None,
+    i: int,
+    number: int,
     surface: Surface,
-    k: int,
-    x: int,
+    weight: Vec3,
+    bounced: Vec3,
     waiting: int,
-    asking: int,
     scratch: Scratch,
-) -> tuple[int, int]:
-    """Light sample k on the other side of a surface, as one more that waits; how many wait and ask then."""
-    if translucency is None or translucency[surface.object] == 0.0:
-        return waiting, asking
-    share = translucency[surface.object] / scene.light_samples
-    straight, direction, target = sample_light(scene, turned(surface), scratch.u[k], scratch.v[k])
-    scratch.column[waiting] = x
-    nothing = Vec3(0.0, 0.0, 0.0)
-    put(scratch.radiance, waiting, scale(_reflected(scene, surface, straight, nothing), share))
-    put(scratch.hidden, waiting, nothing)
-    if not (scene.skips.horizon and is_black(straight)):
-        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
-        scratch.lane[asking] = waiting
-        asking += 1
-    return waiting + 1, asking
+) -> int:
+    if translucency is None:
+        return _wait(i, number, surface, weight, bounced, 1.0, waiting, scratch)
+    share = translucency[surface.object]
+    waiting = _wait(i, number, surface, weight, bounced, 1.0 - share, waiting, scratch)
+    if share == 0.0:
+        return waiting
+    return _wait(i, number, turned(surface), weight, Vec3(0.0, 0.0, 0.0), share, waiting, scratch)
+
+
+@device
+def _most_waiting(scene: SceneArrays, translucency: np.ndarray | None) -> int:
+    """The most that wait of one primary hit."""
+    return scene.light_samples if translucency is None else 2 * scene.light_samples
 
 
 @kernel
 def _next_event(
     scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
 ) -> None:
-    share = 1.0 / scene.light_samples
     translucency = scene.materials.translucency
-    lanes = _lanes(scene, translucency)
+    most = _most_waiting(scene, translucency)
+    waiting = 0
     hits = no_hits()
     while True:
         hits = next_hits(scene, key, work, hits, scratch)
         if hits.count == 0:
             break
-        _draw_light_points(scene, hits.count, scratch)
-        waiting = 0
-        asking = 0
         for i in range(hits.count):
             surface = surface_of(scene, scratch.primary, i)
-            if (
-                surface.face >= 0
-                and not (scene.skips.diffuse and is_black(diffuse_weight(scene, surface)))
-                and not shadowed(scene, surface, scratch)
-            ):
-                bounced = density_irradiance(scene, photons, surface, scratch)
-                hidden = scale(_reflected(scene, surface, Vec3(0.0, 0.0, 0.0), bounced), share)
-                for k in range(i, scene.light_samples * SIZE, SIZE):
-                    straight, direction, target = sample_light(scene, surface, scratch.u[k], scratch.v[k])
-                    straight = _of_front(translucency, surface, straight)
-                    radiance = scale(_reflected(scene, surface, straight, bounced), share)
-                    scratch.column[waiting] = scratch.x[i]
-                    put(scratch.radiance, waiting, radiance)
-                    put(scratch.hidden, waiting, hidden)
-                    if not (scene.skips.horizon and is_black(straight)):
-                        put_occlusion_ray(scene, scratch.rays, asking, surface, direction, target)
-                        scratch.lane[asking] = waiting
-                        asking += 1
-                    waiting += 1
-                    waiting, asking = _ask_back(scene, translucency, surface, k, scratch.x[i], waiting, asking, scratch)
-            if waiting + lanes > SIZE or i + 1 == hits.count:
-                resolve_occlusion(scene, waiting, asking, 1.0, True, hits.y, out, scratch)
+            if surface.face >= 0:
+                weight = diffuse_weight(scene, surface)
+                if not (scene.skips.diffuse and is_black(weight)) and not shadowed(scene, surface, scratch):
+                    bounced = density_irradiance(scene, photons, surface, scratch)
+                    for k in range(scene.light_samples):
+                        number = scene.light_samples * scratch.index[i] + k
+                        waiting = _wait_on_both(translucency, i, number, surface, weight, bounced, waiting, scratch)
+            if waiting + most > SIZE or (hits.ends_tile and i + 1 == hits.count):
+                _light(scene, waiting, out, scratch)
                 waiting = 0
-                asking = 0
+
+
+class _Paths(NamedTuple):
+    """Paths that are followed together, bounce by bounce, each from a primary hit.
+
+    Attributes
+    ----------
+    column, row : (_PATHS,) int64 each, the pixel.
+    weight, throughput, radiance : (_PATHS, 3) each: of the diffuse lobe at the hit, of the path, gathered on its way.
+    place : (_PATHS, 6): point and normal of the surface at its end.
+    face, object : (_PATHS,) int32 each, of that surface.
+    key, index, vertex : (_PATHS,) uint64, uint32 and int64: its randomness there, and how often it has bounced.
+    alive : (_PATHS,) int64, the paths that go on.
+    """
+
+    column: np.ndarray
+    row: np.ndarray
+    weight: np.ndarray
+    throughput: np.ndarray
+    radiance: np.ndarray
+    place: np.ndarray
+    face: np.ndarray
+    object: np.ndarray
+    key: np.ndarray
+    index: np.ndarray
+    vertex: np.ndarray
+    alive: np.ndarray
+
+
+# Paths that are followed together: waves stay full until few are left, and all lie in the second cache.
+_PATHS = 8 * SIZE
+
+
+@device
+def _put_place(paths: _Paths, path: int, surface: Surface) -> None:
+    place = paths.place[path]
+    place[0], place[1], place[2] = surface.point.x, surface.point.y, surface.point.z
+    place[3], place[4], place[5] = surface.normal.x, surface.normal.y, surface.normal.z
+    paths.face[path] = surface.face
+    paths.object[path] = surface.object
+
+
+@device
+def _draw(count: int, dimension: int, scratch: Scratch) -> None:
+    """Draw a pair of dimensions for each key of `scratch`, in a loop of its own, which is vectorised."""
+    for k in range(count):
+        scratch.u[k], scratch.v[k] = sample_2d(Sampler(scratch.key[k], scratch.sample[k]), dimension)
+
+
+@device
+def _arrive(scene: SceneArrays, count: int, coherent: bool, scratch: Scratch) -> None:
+    """E / pi at the points of `scratch.samples`, to `scratch.radiance`; black at those of no face."""
+    samples = scratch.samples
+    sample_lights(scene, samples, count)
+    asking = 0
+    for k in range(count):
+        straight = column(samples.irradiance, k)
+        face = entry(samples.face, k)
+        if face < 0:
+            straight = Vec3(0.0, 0.0, 0.0)
+        put(scratch.radiance, k, straight)
+        if face >= 0 and not (scene.skips.horizon and is_black(straight)):
+            put_leaving_ray(scene, scratch.rays, asking, column(samples.point, k), face)
+            put_column(scratch.rays.directions, asking, column(samples.way, k))
+            scratch.rays.target[asking] = samples.target[k]
+            scratch.lane[asking] = k
+            asking += 1
+    if asking > 0:
+        occlude_wave(scene, scratch.rays, asking, 1.0, coherent, scratch)
+    for k in range(asking):
+        if scratch.rays.found[k]:
+            put(scratch.radiance, scratch.lane[k], Vec3(0.0, 0.0, 0.0))
+
+
+@device
+def _arrive_behind(
+    scene: SceneArrays,
+    translucency: np.ndarray | None,
+    paths: _Paths,
+    begin: int,
+    count: int,
+    coherent: bool,
+    scratch: Scratch,
+) -> None:
+    """Put E / pi of both sides in the place of that of one, where surfaces are translucent."""
+    if translucency is not None:
+        samples = scratch.samples
+        for k in range(count):
+            put(scratch.hidden, k, vec3(scratch.radiance, k))
+            scratch.share[k] = translucency[entry(paths.object, paths.alive[begin + k])]
+            put_column(samples.normal, k, negate(column(samples.normal, k)))
+            if scratch.share[k] == 0.0:
+                samples.face[k] = -1
+        _arrive(scene, count, coherent, scratch)
+        for k in range(count):
+            front = vec3(scratch.hidden, k)
+            if scratch.share[k] > 0.0:
+                front = _of_both(front, vec3(scratch.radiance, k), scratch.share[k])
+            put(scratch.radiance, k, front)
+
+
+@device
+def _gather(scene: SceneArrays, paths: _Paths, begin: int, count: int, coherent: bool, scratch: Scratch) -> None:
+    """Add what lights send to `count` living paths where they are, one sample each."""
+    samples = scratch.samples
+    for k in range(count):
+        path = paths.alive[begin + k]
+        scratch.key[k], scratch.sample[k] = paths.key[path], paths.index[path]
+    _draw(count, LIGHT, scratch)
+    for k in range(count):
+        path = paths.alive[begin + k]
+        place = paths.place[path]
+        samples.u[k], samples.v[k] = scratch.u[k], scratch.v[k]
+        put_column(samples.point, k, Vec3(place[0], place[1], place[2]))
+        put_column(samples.normal, k, Vec3(place[3], place[4], place[5]))
+        samples.face[k] = paths.face[path]
+    _arrive(scene, count, coherent, scratch)
+    _arrive_behind(scene, scene.materials.translucency, paths, begin, count, coherent, scratch)
+    for k in range(count):
+        path = paths.alive[begin + k]
+        gained = gain(vec3(paths.throughput, path), vec3(scratch.radiance, k))
+        put(paths.radiance, path, add(vec3(paths.radiance, path), gained))
+
+
+@device
+def _bounce(scene: SceneArrays, paths: _Paths, begin: int, count: int, kept: int, scratch: Scratch) -> int:
+    """Send the `count` living paths on that `_gather` has met; survivors are put into `alive` from `kept` on.
+
+    Returns where they end.
+    """
+    _draw(count, BOUNCE, scratch)
+    directions = scratch.rays.directions
+    for k in range(count):
+        path = paths.alive[begin + k]
+        place = paths.place[path]
+        put_leaving_ray(scene, scratch.rays, k, Vec3(place[0], place[1], place[2]), entry(paths.face, path))
+        put_column(directions, k, Vec3(place[3], place[4], place[5]))
+    # The normal until then.
+    for k in range(count):
+        normal = column(directions, k)
+        surface = Surface(normal, normal, normal, -1, entry(paths.object, paths.alive[begin + k]), 1.0, 0.0, 0.0)
+        local = scattered(scene.materials.translucency, surface, scratch.u[k], scratch.v[k])
+        put_column(directions, k, to_world(frame(normal), local))
+    trace_wave(scene, scratch.rays, count, False, scratch)
+    _draw(count, ROULETTE, scratch)
+    for k in range(count):
+        surface = surface_of(scene, scratch.rays, k)
+        if surface.face < 0:
+            continue
+        path = paths.alive[begin + k]
+        throughput = mul(vec3(paths.throughput, path), diffuse_weight(scene, surface))
+        survival = min(scene.most_survival, max_component(throughput) / FAINT)
+        if not survives(survival, scratch.u[k]):
+            continue
+        put(paths.throughput, path, scale(throughput, 1.0 / survival))
+        _put_place(paths, path, surface)
+        paths.vertex[path] += 1
+        paths.key[path] = fold(paths.key[path], _PATH + paths.vertex[path])
+        paths.alive[kept] = path
+        kept += 1
+    return kept
+
+
+@device
+def _follow(scene: SceneArrays, paths: _Paths, count: int, out: np.ndarray, scratch: Scratch) -> None:
+    """Follow the first `count` paths to their ends, as `direct_path` does, and add them to their pixels in order."""
+    for path in range(count):
+        paths.alive[path] = path
+    alive = count
+    coherent = True
+    while alive > 0:
+        kept = 0
+        for begin in range(0, alive, SIZE):
+            some = min(SIZE, alive - begin)
+            _gather(scene, paths, begin, some, coherent, scratch)
+            kept = _bounce(scene, paths, begin, some, kept, scratch)
+        alive = kept
+        coherent = False
+    for path in range(count):
+        radiance = scale(mul(vec3(paths.weight, path), vec3(paths.radiance, path)), scene.irradiance_factor)
+        accumulate(out, paths.row[path], paths.column[path], radiance)
 
 
 @kernel
 def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch) -> None:
+    paths = _Paths(
+        np.empty(_PATHS, np.int64),
+        np.empty(_PATHS, np.int64),
+        np.empty((_PATHS, 3)),
+        np.empty((_PATHS, 3)),
+        np.empty((_PATHS, 3)),
+        np.empty((_PATHS, 6)),
+        np.empty(_PATHS, np.int32),
+        np.empty(_PATHS, np.int32),
+        np.empty(_PATHS, np.uint64),
+        np.empty(_PATHS, np.uint32),
+        np.empty(_PATHS, np.int64),
+        np.empty(_PATHS, np.int64),
+    )
+    count = 0
     hits = no_hits()
     while True:
         hits = next_hits(scene, key, work, hits, scratch)
@@ -291,8 +528,21 @@ def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
         for i in range(hits.count):
             surface = surface_of(scene, scratch.primary, i)
             if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                sampler = sampler_of(i, scratch)
-                accumulate(out, hits.y, scratch.x[i], direct_path(scene, surface, sampler, scratch))
+                weight = diffuse_weight(scene, surface)
+                if not (scene.skips.diffuse and is_black(weight)):
+                    paths.column[count] = scratch.x[i]
+                    paths.row[count] = scratch.y[i]
+                    put(paths.weight, count, weight)
+                    put(paths.throughput, count, Vec3(1.0, 1.0, 1.0))
+                    put(paths.radiance, count, Vec3(0.0, 0.0, 0.0))
+                    _put_place(paths, count, surface)
+                    paths.key[count] = scratch.pixel[i]
+                    paths.index[count] = scratch.index[i]
+                    paths.vertex[count] = 0
+                    count += 1
+        if count + SIZE > _PATHS or hits.ends_tile:
+            _follow(scene, paths, count, out, scratch)
+            count = 0
 
 
 @kernel
@@ -311,7 +561,7 @@ def _photon_map(
                 if not (scene.skips.diffuse and is_black(weight)):
                     irradiance = density_irradiance(scene, photons, surface, scratch)
                     radiance = scale(mul(weight, irradiance), INV_PI * scene.irradiance_factor)
-                    accumulate(out, hits.y, scratch.x[i], radiance)
+                    accumulate(out, scratch.y[i], scratch.x[i], radiance)
 
 
 @kernel
@@ -336,7 +586,7 @@ def _nearest(
             surface = surface_of(scene, scratch.primary, i)
             if surface.face >= 0 and not shadowed(scene, surface, scratch):
                 radiance = direct_nearest(scene, photons, factor, surface, heap, chosen, scratch)
-                accumulate(out, hits.y, scratch.x[i], radiance)
+                accumulate(out, scratch.y[i], scratch.x[i], radiance)
 
 
 def _limit(scene: Scene, samples: int) -> Limit:

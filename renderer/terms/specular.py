@@ -154,7 +154,7 @@ def _chain(
                     radiance = sky_radiance(scene.sky, origin, direction)
                 else:
                     radiance = _diffuse(scene, direct, photons, heap, chosen, surface, sampler, scratch)
-                accumulate(out, hits.y, scratch.x[i], mul(throughput, radiance))
+                accumulate(out, scratch.y[i], scratch.x[i], mul(throughput, radiance))
 
 
 def _inputs(lobe: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:

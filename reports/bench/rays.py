@@ -4,7 +4,7 @@ Both sides run on the same number of threads in one process, in alternating pair
 slows both members of a pair alike; the ratio of a case is the median over its pairs. Mitsuba's robust flag is what
 makes Embree watertight, as ours always is, so the ratio that counts is the one with it; the one with default flags
 stands beside it. Mitsuba is told that rays are coherent where that makes it faster. Both trace arrays of rays: ours by
-`renderer.geometry.rays`, in the groups of 8 that render kernels trace.
+`renderer.geometry.rays`, in the waves that render kernels trace.
 """
 
 import os
@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from termwise.renderer.geometry import bvh
-from termwise.renderer.geometry.packets import new_rays8
 from termwise.renderer.geometry.rays import any_hits, closest_hits
+from termwise.renderer.geometry.wave import new_wave
 from termwise.reports.bench.common import BACKEND, known, machine, positive, timed
 from termwise.scenes.load import load
 
@@ -140,7 +140,7 @@ def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
     if kind == "primary":
         return primary
     t, face = np.empty(len(directions)), np.empty(len(directions), np.int32)
-    closest_hits(mesh.corners, mesh.tree, primary.origins, primary.directions, np.inf, t, face, new_rays8())
+    closest_hits(mesh.corners, mesh.tree, primary.origins, primary.directions, np.inf, t, face, new_wave())
     hit = np.flatnonzero(face >= 0)
     if kind == "ao":
         # Every 64th pixel of a row or so, each with its fan.
@@ -190,13 +190,13 @@ class Ours:
             rays.far,
             self.t[part],
             self.face[part],
-            new_rays8(),
+            new_wave(),
         )
 
     def _any(self, part: slice) -> None:
         mesh, rays = self.mesh, self.rays
         any_hits(
-            mesh.corners, mesh.tree, rays.origins[part], rays.directions[part], rays.far, self.found[part], new_rays8()
+            mesh.corners, mesh.tree, rays.origins[part], rays.directions[part], rays.far, self.found[part], new_wave()
         )
 
     def run(self) -> None:

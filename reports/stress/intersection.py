@@ -142,7 +142,7 @@ def speed(count: int) -> Iterator[Row]:
             for _ in range(10):
                 for mesh, tree, start in ((corners, near, origins), (moved, far, there)):
                     begin = time.process_time()
-                    tracers.run_groups(mesh, tree, start, directions)
+                    tracers.run_waves(mesh, tree, start, directions)
                     seconds.append(time.process_time() - begin)
             return min(seconds[3::2]) / min(seconds[2::2])  # the first two compile
 

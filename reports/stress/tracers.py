@@ -1,9 +1,9 @@
 """The rivals in tracing rays: our three descents, the paper's loop over all faces, Mitsuba's Embree.
 
 Each is one function `trace(corners, origins, directions, leaving) -> Found`, so that a property is written once for
-all. Ours are the descent of the binary tree, that of the wide tree, and groups of 8 rays, which are packets or bundles;
-renderers call the last two. Mitsuba's gets the same numbers rounded to float32, at their own scale: its references
-bring a scene to a canonical scale first, and the lab shows why.
+all. Ours are the descent of the binary tree, that of the tree of 8 children, and waves of rays, in packets or bundles,
+or among few polygons without a tree; renderers call the last two. Mitsuba's gets the same numbers rounded to float32,
+at their own scale: its references bring a scene to a canonical scale first, and the lab shows why.
 """
 
 import math
@@ -15,7 +15,7 @@ import numpy as np
 from termwise.renderer.geometry import bvh, paper, rays, traverse
 from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
 from termwise.renderer.geometry.intersect import FaceRange, make_ray
-from termwise.renderer.geometry.packets import SIZE, Rays8, new_rays8
+from termwise.renderer.geometry.wave import SIZE, Wave, new_wave
 from termwise.renderer.jit import kernel
 from termwise.renderer.vector import put_column, vec3
 from termwise.reports.bench.rays import embree_scene
@@ -56,7 +56,7 @@ def _binary(
 
 
 @kernel
-def _wide(
+def _bvh8(
     corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray, found: Found
 ) -> None:
     stack = np.empty(STACK_SIZE, np.int32)
@@ -70,30 +70,30 @@ def _wide(
 
 
 @kernel
-def _groups(
+def _waves(
     corners: np.ndarray,
     tree: Tree,
     origins: np.ndarray,
     directions: np.ndarray,
     leaving: np.ndarray,
     found: Found,
-    group: Rays8,
+    wave: Wave,
 ) -> None:
     stack = np.empty(STACK_SIZE, np.int32)
     for start in range(0, len(origins), SIZE):
         count = min(SIZE, len(origins) - start)
         for i in range(count):
-            put_column(group.origins, i, vec3(origins, start + i))
-            put_column(group.directions, i, vec3(directions, start + i))
-            group.first[i] = leaving[start + i]
-            group.end[i] = leaving[start + i] + 1
-        rays.closest_hits_of_group(corners, tree, group, count, math.inf, True, stack)
+            put_column(wave.origins, i, vec3(origins, start + i))
+            put_column(wave.directions, i, vec3(directions, start + i))
+            wave.first[i] = leaving[start + i]
+            wave.end[i] = leaving[start + i] + 1
+        rays.closest_hits_of_wave(corners, tree, wave, count, math.inf, True, stack)
         for i in range(count):
-            found.t[start + i], found.face[start + i] = group.t[i], group.face[i]
-            found.weights[start + i, 0], found.weights[start + i, 1] = group.b1[i], group.b2[i]
-        rays.any_hits_of_group(corners, tree, group, count, math.inf, True, stack)
+            found.t[start + i], found.face[start + i] = wave.t[i], wave.face[i]
+            found.weights[start + i, 0], found.weights[start + i, 1] = wave.b1[i], wave.b2[i]
+        rays.any_hits_of_wave(corners, tree, wave, count, math.inf, True, stack)
         for i in range(count):
-            found.any[start + i] = group.found[i]
+            found.any[start + i] = wave.found[i]
 
 
 @kernel
@@ -130,24 +130,24 @@ def binary(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, lea
     return found
 
 
-def wide(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray) -> Found:
-    """Descend the wide tree, where the processor has its vectors; arguments as of `binary`."""
+def bvh8(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray) -> Found:
+    """Descend the tree of 8 children, where the processor has its vectors; arguments as of `binary`."""
     found = _room(len(origins))
-    _wide(corners, _tree(corners), origins, directions, leaving, found)
+    _bvh8(corners, _tree(corners), origins, directions, leaving, found)
     return found
 
 
-def groups(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray) -> Found:
-    """Descend in groups of 8; arguments as of `binary`."""
+def waves(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray) -> Found:
+    """Trace in waves; arguments as of `binary`."""
     found = _room(len(origins))
-    _groups(corners, _tree(corners), origins, directions, leaving, found, new_rays8())
+    _waves(corners, _tree(corners), origins, directions, leaving, found, new_wave())
     return found
 
 
-def run_groups(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray) -> None:
+def run_waves(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray) -> None:
     """Trace rays on a tree that exists, and throw the hits away: what is timed."""
     free = np.full(len(origins), -1, np.int32)
-    _groups(corners, tree, origins, directions, free, _room(len(origins)), new_rays8())
+    _waves(corners, tree, origins, directions, free, _room(len(origins)), new_wave())
 
 
 def all_faces(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, leaving: np.ndarray) -> Found:
@@ -187,4 +187,4 @@ def embree(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, lea
     return found
 
 
-OURS: dict[str, Trace] = {"binary tree": binary, "wide tree": wide, "groups of 8": groups}
+OURS: dict[str, Trace] = {"binary tree": binary, "tree of 8 children": bvh8, "waves": waves}

@@ -115,6 +115,7 @@ _AMBIENT = "renderer/terms/ambient.py"
 _DIRECT = "renderer/terms/direct.py"
 _SPECULAR = "renderer/terms/specular.py"
 _LIGHTS = "renderer/lights/__init__.py"
+_SAMPLING = "renderer/light_sampling.py"
 _FACE = "renderer/lights/face.py"
 _SPOT = "renderer/lights/spot.py"
 _DIRECTIONAL = "renderer/lights/directional.py"
@@ -152,8 +153,8 @@ PLANTS = (
         "ambient: occlusion drawn but not applied",
         AMBIENT,
         _AMBIENT,
-        "scene, waiting, asking, ambient_reach(scene, rule), False, hits.y, out, scratch",
-        "scene, waiting, 0, ambient_reach(scene, rule), False, hits.y, out, scratch",
+        "scene, waiting, asking, ambient_reach(scene, rule), False, out, scratch",
+        "scene, waiting, 0, ambient_reach(scene, rule), False, out, scratch",
     ),
     Plant(
         "normal not turned to the viewer",
@@ -165,52 +166,46 @@ PLANTS = (
     Plant(
         "direct: cosine twice",
         DIRECT,
-        _ARRIVING,
-        "strength *= cos_surface / (square * math.sqrt(square))",
-        "strength *= cos_surface * cos_surface / (square * square)",
+        _SAMPLING,
+        "(cos_surface / (square * distance))",
+        "(cos_surface * cos_surface / (square * square))",
     ),
-    Plant(
-        "direct: cosine forgotten",
-        DIRECT,
-        _ARRIVING,
-        "strength *= cos_surface / (square * math.sqrt(square))",
-        "strength *= 1.0 / square",
-    ),
+    Plant("direct: cosine forgotten", DIRECT, _SAMPLING, "(cos_surface / (square * distance))", "(one / square)"),
     Plant(
         "direct: the light's cosine forgotten",
         DIRECT,
-        _FACE,
-        "* cos_light / (length(direction) * probability)",
+        _SAMPLING,
+        "* cos_light / (distance * probability)",
         "/ probability",
     ),
     Plant(
         "direct: the light's area twice",
         DIRECT,
-        _FACE,
-        "INV_PI * faces.area[row] * cos_light",
-        "INV_PI * 2.0 * faces.area[row] * cos_light",
+        _SAMPLING,
+        "splat(INV_PI, 8) * gather(faces.area, row)",
+        "splat(2.0 * INV_PI, 8) * gather(faces.area, row)",
     ),
-    Plant("direct: 1/pi lost", DIRECT, _FACE, "INV_PI * faces.area[row] * cos_light", "faces.area[row] * cos_light"),
+    Plant("direct: 1/pi lost", DIRECT, _SAMPLING, "splat(INV_PI, 8) * gather(faces.area", "gather(faces.area"),
     Plant(
         "light picked with the wrong probability",
         DIRECT,
-        _LIGHTS,
-        "return low, probability, min(",
-        "return low, cdf[low], min(",
+        _SAMPLING,
+        "probability = gather(emitters.cdf, picked + splat(np.int32(1), 8)) - before",
+        "probability = gather(emitters.cdf, picked + splat(np.int32(1), 8))",
     ),
     Plant(
         "direct: distance clamped inside the pdf",
         DIRECT,
-        _ARRIVING,
-        "    square = dot(direction, direction)\n    strength",
-        "    square = max(25.0, dot(direction, direction))\n    strength",
+        _SAMPLING,
+        "    distance = square_root(square)",
+        "    square = choose(square > splat(25.0, 8), square, splat(25.0, 8))\n    distance = square_root(square)",
     ),
     Plant(
         "direct: shadow ray too short",
         DIRECT,
         _DIRECT,
-        "resolve_occlusion(scene, waiting, asking, 1.0, True, hits.y, out, scratch)",
-        "resolve_occlusion(scene, waiting, asking, 0.2, True, hits.y, out, scratch)",
+        "resolve_occlusion(scene, waiting, asking, 1.0, True, out, scratch)",
+        "resolve_occlusion(scene, waiting, asking, 0.2, True, out, scratch)",
     ),
     Plant(
         "diffuse weight without (1 - g)",
@@ -237,8 +232,8 @@ PLANTS = (
         "path: ends after one bounce",
         PATH,
         _DIRECT,
-        "if sample_1d(sampler, ROULETTE) >= survival:",
-        "if vertex == 1 or sample_1d(sampler, ROULETTE) >= survival:",
+        "if not survives(survival, scratch.u[k]):",
+        "if paths.vertex[path] == 1 or not survives(survival, scratch.u[k]):",
     ),
     Plant(
         "photons: wrong power",
@@ -439,8 +434,8 @@ PLANTS = (
         "one point of the light for all pixels and replicates",
         FEW,
         _DIRECT,
-        "            sampler = Sampler(scratch.pixel[i], sample)\n            scratch.u[SIZE * k + i]",
-        "            sampler = Sampler(np.uint64(7), sample)\n            scratch.u[SIZE * k + i]",
+        "sample_2d(Sampler(scratch.key[i], scratch.sample[i]), LIGHT)",
+        "sample_2d(Sampler(np.uint64(7), scratch.sample[i]), LIGHT)",
     ),
     Plant("photons: power less by 1 %", PHOTON_MAP, _TRACING, "power /= emitted", "power *= 0.99 / emitted"),
     Plant(
@@ -579,9 +574,9 @@ PLANTS = (
     Plant(
         "lights: the rest of the number not stretched",
         DIRECT,
-        _LIGHTS,
-        "return low, probability, min((u - before) / probability, _BELOW_ONE)",
-        "return low, probability, u",
+        _SAMPLING,
+        "u = minimum((u - before) / probability, splat(BELOW_ONE, 8))",
+        "u = minimum(u, splat(BELOW_ONE, 8))",
     ),
     Plant(
         "lights: picked by what they send, weighed as if alike",
@@ -738,16 +733,15 @@ PLANTS = (
         "translucency: all of the light stays, and what crosses besides",
         LEAF_SPLIT,
         _DIRECT,
-        "return scale(straight, 1.0 - translucency[surface.object])",
-        "return straight",
+        "waiting = _wait(i, number, surface, weight, bounced, 1.0 - share, waiting, scratch)",
+        "waiting = _wait(i, number, surface, weight, bounced, 1.0, waiting, scratch)",
     ),
     Plant(
         "translucency: what crosses tinted twice",
         LEAF_SPLIT,
         _DIRECT,
-        "put(scratch.radiance, waiting, scale(_reflected(scene, surface, straight, nothing), share))",
-        "put(scratch.radiance, waiting, mul(scale(_reflected(scene, surface, straight, nothing), share),"
-        " diffuse_weight(scene, surface)))",
+        "return _wait(i, number, turned(surface), weight, Vec3(0.0, 0.0, 0.0), share, waiting, scratch)",
+        "return _wait(i, number, turned(surface), mul(weight, weight), Vec3(0.0, 0.0, 0.0), share, waiting, scratch)",
     ),
     Plant(
         "translucency: photons of the back dropped",

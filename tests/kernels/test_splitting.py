@@ -43,12 +43,18 @@ def test_camera_rays_are_shared():
     assert engine.counts["rays"] == camera_rays(32, SPLIT) * pixels
 
 
-def test_a_run_in_parts_has_the_bits_of_the_whole():
-    """Parts that end amid the samples of a primary hit."""
-    with Engine(BOX, threads=2) as engine:
-        *_, (_, whole, _) = engine.prefixes(find("ambient"), samples=19, seed=3, replicate=2, counts=(19,))
-        *_, (_, parts, _) = engine.prefixes(find("ambient"), samples=19, seed=3, replicate=2, counts=(1, 6, 9, 15, 19))
-    assert whole.tobytes() == parts.tobytes()
+@pytest.mark.parametrize(
+    ("term", "variant", "scope"),
+    [("ambient", "cosine", "all"), ("direct", "next-event", "first-hit"), ("direct", "path", "all")],
+)
+def test_a_run_in_parts_has_the_bits_of_the_whole(term, variant, scope, compiled):
+    """Parts that end amid the samples of a primary hit; the whole has more samples than are followed together."""
+    scene = attrs.evolve(BOX if compiled else small("cornell_box", 2), scope=scope)
+    with Engine(scene, threads=2) as engine:
+        *_, (_, whole, _) = engine.prefixes(find(term, variant), samples=19, seed=3, replicate=2, counts=(19,))
+        parts = engine.prefixes(find(term, variant), samples=19, seed=3, replicate=2, counts=(1, 6, 9, 15, 19))
+        *_, (_, image, _) = parts
+    assert whole.tobytes() == image.tobytes()
 
 
 def test_light_samples_stand_beside_one_estimate_by_photons():

@@ -64,7 +64,7 @@ def row(group: str, name: str) -> Row:
 
 
 def broken(fault: str):
-    """Our groups of 8 with a fault planted in what they find, or in what they are given."""
+    """Our waves with a fault planted in what they find, or in what they are given."""
 
     def trace(corners, origins, directions, leaving):
         if fault == "float32":
@@ -73,7 +73,7 @@ def broken(fault: str):
         if fault == "no face ignored":
             leaving = np.full_like(leaving, -1)
             origins = origins - 1e-12 * directions
-        found = tracers.groups(np.ascontiguousarray(corners), origins, directions, leaving)
+        found = tracers.waves(np.ascontiguousarray(corners), origins, directions, leaving)
         lost = np.zeros(len(origins), bool)
         if fault == "gaps along edges":
             lost = np.minimum(found.weights.min(axis=1), 1 - found.weights.sum(axis=1)) < 1e-12
@@ -102,7 +102,7 @@ def broken(fault: str):
 )
 def test_a_planted_fault_fails_a_row_of_intersection(fault, name, monkeypatch):
     assert measure("intersection", row("intersection", name), ("ours",))["passed"]
-    monkeypatch.setitem(tracers.OURS, "groups of 8", broken(fault))
+    monkeypatch.setitem(tracers.OURS, "waves", broken(fault))
     assert not measure("intersection", row("intersection", name), ("ours",))["passed"]
 
 

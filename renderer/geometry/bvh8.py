@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.geometry.few import TriangleList, few_of
 from termwise.renderer.geometry.intersect import component
 from termwise.renderer.jit import kernel
 from termwise.renderer.memory import aligned
@@ -34,6 +33,9 @@ FACES = 72
 _NOWHERE = np.float32(1e30)
 _AS_LEAF = 9
 MAX_DEPTH = 80
+# Descents push at most one node a level of the binary tree; of this one a node, a distance and a set of rays for each
+# of 8 children. A vector of 8 is stored where fewer count.
+STACK_SIZE = 3 * (WIDTH * MAX_DEPTH + WIDTH)
 
 
 class Bvh8(NamedTuple):
@@ -45,21 +47,17 @@ class Bvh8(NamedTuple):
     leaves : (LEAF L,) float32 or float64; faces are int32 bits, -1 beside a triangle without area in unused lanes.
     center : Vec3.
     scale : a power of 2.
-    few : the triangles without a tree, if they are few.
     """
 
     nodes: np.ndarray
     leaves: np.ndarray
     center: Vec3
     scale: float
-    few: TriangleList
 
 
 def empty() -> Bvh8:
     """No node: of an empty scene, or where vectors are not available."""
-    center = Vec3(0.0, 0.0, 0.0)
-    none = few_of(np.zeros((0, 3, 3)), center, 1.0)
-    return Bvh8(np.zeros(0, np.float32), np.zeros(0, np.float32), center, 1.0, none)
+    return Bvh8(np.zeros(0, np.float32), np.zeros(0, np.float32), Vec3(0.0, 0.0, 0.0), 1.0)
 
 
 @kernel
@@ -234,4 +232,4 @@ def collapse(
         leaves,
         leaves.view(np.int32),
     )
-    return Bvh8(nodes.ravel(), leaves.ravel(), center, scale, few_of(corners, center, scale))
+    return Bvh8(nodes.ravel(), leaves.ravel(), center, scale)

@@ -1,4 +1,4 @@
-"""The wide tree against the binary one and against all faces: the same face and the same bits of t on every ray.
+"""The tree of 8 children, and waves of rays, against the binary tree and against all faces: the same bits on every ray.
 
 Rationale: the fast descent tests boxes in float32 and eight triangles at once; one ray in a million that meets another
 face is a fault that no image shows. Rays are aimed where descents fail: at vertices and edges, along axes with zeros
@@ -7,17 +7,28 @@ rounding of their distance from the ray's origin are left out: their test is noi
 tree of a single leaf, which is a test of all faces by `intersect_triangle`, and the binary tree where faces are many.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 import trimesh
 
-from termwise.renderer.geometry import bvh, simd, traverse, wide
+from termwise.renderer.geometry import bvh, bvh8, simd, traverse
 from termwise.renderer.geometry.bvh import STACK_SIZE, Tree
-from termwise.renderer.geometry.few import DOUBT, HIT, MISS, MOST, any_hit_of_few
 from termwise.renderer.geometry.intersect import NOTHING, FaceRange, make_ray
-from termwise.renderer.geometry.packets import new_rays8
-from termwise.renderer.geometry.rays import any_hit, any_hits, closest_hit, closest_hits, reference_hits
-from termwise.renderer.vector import Vec3
+from termwise.renderer.geometry.polygons import DOUBT, HIT, MISS, MOST, any_hit_among_polygons
+from termwise.renderer.geometry.rays import (
+    any_hit,
+    any_hits,
+    any_hits_of_wave,
+    closest_hit,
+    closest_hits,
+    closest_hits_of_wave,
+    reference_hits,
+)
+from termwise.renderer.geometry.wave import SIZE, Wave, new_wave, put_ray
+from termwise.renderer.jit import kernel
+from termwise.renderer.vector import Vec3, vec3
 
 pytestmark = pytest.mark.skipif(not simd.available(), reason="the processor lacks the vectors, or nothing is compiled")
 
@@ -26,8 +37,8 @@ Hits = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def fast(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, far: float) -> Hits:
     t, face, found = (np.empty(len(origins)), np.empty(len(origins), np.int32), np.empty(len(origins), np.bool_))
-    closest_hits(corners, tree, origins, directions, far, t, face, new_rays8())
-    any_hits(corners, tree, origins, directions, far, found, new_rays8())
+    closest_hits(corners, tree, origins, directions, far, t, face, new_wave())
+    any_hits(corners, tree, origins, directions, far, found, new_wave())
     return t, face, found
 
 
@@ -41,7 +52,9 @@ def one_leaf(corners: np.ndarray) -> Tree:
     """A tree whose root is a leaf of all faces."""
     bounds = np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])[None]
     zero, faces = np.zeros(1, np.int32), np.arange(len(corners), dtype=np.int32)
-    return Tree(bounds, zero, zero, np.array([len(corners)], np.int32), faces, wide.empty())
+    return Tree(
+        bounds, zero, zero, np.array([len(corners)], np.int32), faces, bvh8.empty(), bvh.build(corners[:0]).polygons
+    )
 
 
 def check(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, far: float = np.inf) -> Hits:
@@ -197,6 +210,111 @@ def test_equal_with_a_far_end(name):
             check(corners, origins[:500], directions[:500], float(far * scale))
 
 
+@kernel
+def leave(
+    corners: np.ndarray,
+    tree: Tree,
+    oracle: Tree,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    ways: np.ndarray,
+    far: float,
+    wave: Wave,
+    hits: np.ndarray,
+    expected: np.ndarray,
+) -> None:
+    """Rays that pass faces `ways` (N, 3): first, end, target. Rows of (N, 5): t, face, b1, b2, whether any is hit."""
+    stack = np.empty(STACK_SIZE, np.int32)
+    for row in range(0, len(origins), SIZE):
+        count = min(SIZE, len(origins) - row)
+        for i in range(count):
+            put_ray(wave, i, vec3(origins, row + i), vec3(directions, row + i))
+            wave.first[i], wave.end[i], wave.target[i] = ways[row + i, 0], ways[row + i, 1], ways[row + i, 2]
+        closest_hits_of_wave(corners, tree, wave, count, far, True, stack)
+        for i in range(count):
+            hits[row + i, 0], hits[row + i, 1] = wave.t[i], wave.face[i]
+            hits[row + i, 2], hits[row + i, 3] = wave.b1[i], wave.b2[i]
+        any_hits_of_wave(corners, tree, wave, count, far, True, stack)
+        for i in range(count):
+            hits[row + i, 4] = wave.found[i]
+    for i in range(len(origins)):
+        ray = make_ray(vec3(origins, i), vec3(directions, i))
+        ignore = FaceRange(ways[i, 0], ways[i, 1])
+        hit = traverse.closest_hit(corners, oracle, ray, far, ignore, stack)
+        expected[i, 0], expected[i, 1], expected[i, 2], expected[i, 3] = hit.t, hit.face, hit.b1, hit.b2
+        expected[i, 4] = traverse.any_hit(corners, oracle, ray, far, ignore, ways[i, 2], stack)
+
+
+@pytest.mark.parametrize("name", ["room", "box", "a few of soup"])
+@pytest.mark.parametrize("far", [np.inf, 1.0])
+def test_rays_that_leave_faces_and_aim_at_faces(name, far):
+    """Faces that a ray leaves, or aims at: of a parallelogram its half alone, of a closed piece a front alone.
+
+    From points of faces, of edges and of vertices, from around, and all from one side at one point; a far end at the
+    point that is aimed at.
+    """
+    corners = np.ascontiguousarray(mesh(name))
+    rng = np.random.default_rng(8)
+    count = 40_000
+    at, to = rng.integers(0, len(corners), (2, count))
+    kind = rng.integers(0, 3, (2, count, 1))
+    weights = np.where(kind == 0, rng.dirichlet((1, 1, 1), (2, count)), np.array([1.0, 0.0, 0.0]))
+    weights = np.where(kind == 1, np.array([0.25, 0.75, 0.0]), weights)
+    origins, targets = (np.einsum("ni,nij->nj", w, corners[face]) for w, face in zip(weights, (at, to), strict=True))
+    extent = float(np.ptp(corners, axis=(0, 1)).max())
+    outside = np.arange(count) % 4096 < 1024
+    origins[outside] = corners.mean(axis=(0, 1)) + extent * np.array([1.3, -1.1, 0.9])
+    first = np.where(rng.random(count) < 0.8, at, rng.integers(0, len(corners), count))
+    ways = np.stack(
+        [first, first + rng.choice([0, 1, 1, 1, 3], count), np.where(rng.random(count) < 0.5, to, -1)], axis=1
+    )
+    hits, expected = np.empty((2, count, 5))
+    tree = bvh.build(corners)
+    leave(corners, tree, one_leaf(corners), origins, targets - origins, ways, far, new_wave(), hits, expected)
+    np.testing.assert_array_equal(hits, expected)
+    assert 0.05 < expected[:, 4].mean() < 0.99
+
+
+def test_one_ray_that_float32_cannot_hold_spoils_no_other_of_its_wave():
+    """Among rays of a room some with NaN, infinite, huge and tiny numbers, and from far beyond float32's bounds."""
+    corners = np.ascontiguousarray(mesh("room"))
+    rng = np.random.default_rng(9)
+    origins, directions = aimed_rays("random", rng, corners, 640)
+    odd = itertools.product((np.nan, np.inf, -np.inf, 1e30, 1e9, 1e-320), range(3), (origins, directions))
+    for row, (number, axis, array) in enumerate(odd):
+        array[13 * row, axis] = number
+    directions[5::64] *= 1e-290
+    directions[6::64] *= 1e300
+    check(corners, origins, directions)
+    check(corners, origins, directions, 0.5)
+
+
+def test_polygons_are_found_in_any_scene():
+    """Pairs of triangles that make parallelograms, and closed convex pieces, turned and mirrored ones too."""
+    box = trimesh.creation.box()
+    cube = box.vertices[box.faces]
+    ball = trimesh.creation.icosahedron()
+    turn = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.4, 0.7]))[:3, :3]
+    sheet = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 1, 0], [1, 0, 0], [0, 1, 0.0]]])
+
+    def found(corners: np.ndarray) -> tuple[int, int, int]:
+        polygons = bvh.build(np.ascontiguousarray(corners)).polygons
+        return polygons.count, polygons.pairs, len(polygons.pieces)
+
+    turned = cube @ turn.T
+    assert found(cube) == found(turned) == found(cube[:, ::-1]) == (6, 6, 1)
+    assert found(turned.astype(np.float32).astype(float)) == (6, 6, 1)
+    assert found(np.concatenate([cube, turned + 3.0, sheet])) == (13, 13, 2)
+    assert found(cube[:-1]) == (6, 5, 0)  # open
+    assert found(np.concatenate([cube, cube[:1]])) == (8, 5, 0)  # a face twice
+    assert found(ball.vertices[ball.faces]) == (20, 0, 1)
+    bent = cube * np.where(cube[..., 2:] > 0, [0.3, 1.0, 1.0], 1.0)  # a roof: two trapezia
+    assert found(bent) == (8, 4, 1)
+    dented = np.where((cube == 0.5).all(axis=2, keepdims=True), 0.1, cube)
+    assert found(dented)[2] == 0
+    assert found(np.concatenate([cube + 3.0 * i for i in range(11)])) == (0, 0, 0)
+
+
 @pytest.mark.parametrize("name", ["room", "48 of soup", "48 of huge", "48 of far from the origin"])
 def test_few_triangles_leave_few_doubts(name):
     """From points of faces, those left out: what is sure is right, both answers occur, float64 has less than 1 %."""
@@ -215,7 +333,7 @@ def test_few_triangles_leave_few_doubts(name):
         left, target = int(face[i]), int(rng.integers(-1, len(corners)))
         ignore = FaceRange(left - i % 2, left + 1)  # a face, or it and the one before
         far = float(rng.choice([0.2 * extent, np.inf]))
-        found = any_hit_of_few(tree.wide.few, ray, far, ignore, target)
+        found = any_hit_among_polygons(tree.polygons, ray, far, ignore, target)
         answers.append(found)
         if found != DOUBT:
             exact = traverse.any_hit(corners, one_leaf(corners), ray, far, ignore, target, stack)
@@ -230,7 +348,7 @@ def test_few_triangles_leave_few_doubts(name):
 def test_the_far_end_is_sure_or_left_in_doubt(name):
     """A far end at the nearest hit, and up to a tenth of it before or behind: never the wrong answer."""
     corners = np.ascontiguousarray(mesh(name))
-    few, rng, stack = bvh.build(corners).wide.few, np.random.default_rng(6), np.empty(STACK_SIZE, np.int32)
+    polygons, rng, stack = bvh.build(corners).polygons, np.random.default_rng(6), np.empty(STACK_SIZE, np.int32)
     answers = []
     for origin, direction in zip(*aimed_rays("random", rng, corners, 3000), strict=True):
         ray = make_ray(Vec3(*origin.tolist()), Vec3(*direction.tolist()))
@@ -238,7 +356,7 @@ def test_the_far_end_is_sure_or_left_in_doubt(name):
         if hit.face >= 0:
             for relative in (0.0, *(sign * 10.0**power for power in range(-16, 0) for sign in (-1.0, 1.0))):
                 far = hit.t * (1.0 + relative)
-                answers.append(any_hit_of_few(few, ray, far, NOTHING, -1))
+                answers.append(any_hit_among_polygons(polygons, ray, far, NOTHING, -1))
                 assert answers[-1] == DOUBT or (answers[-1] == HIT) == (hit.t < far)
     assert min(np.bincount(answers, minlength=3)) > 0.02 * len(answers) > 0
 
@@ -269,18 +387,18 @@ def test_equal_centroids():
 def test_tree_holds_every_face_once_inside_its_boxes(name):
     """Leaves partition the faces with an area, exact corners beside them; boxes contain those of their children."""
     corners = mesh(name)
-    tree = bvh.build(corners).wide
-    nodes = tree.nodes.reshape(-1, wide.NODE)
+    tree = bvh.build(corners).bvh8
+    nodes = tree.nodes.reshape(-1, bvh8.NODE)
     links = nodes.view(np.int32)
-    ids = tree.leaves.reshape(-1, wide.LEAF).view(np.int32).reshape(len(tree.leaves) // wide.LEAF, -1)
-    first = wide.FACES * tree.leaves.itemsize // 4
+    ids = tree.leaves.reshape(-1, bvh8.LEAF).view(np.int32).reshape(len(tree.leaves) // bvh8.LEAF, -1)
+    first = bvh8.FACES * tree.leaves.itemsize // 4
     found = []
     waiting = [(0, np.full(3, -2.0), np.full(3, 2.0))]
     while waiting:
         node, low, high = waiting.pop()
-        boxes = nodes[node, : wide.LINKS].reshape(2, 3, wide.WIDTH)
-        for lane in range(wide.WIDTH):
-            link = int(links[node, wide.LINKS + lane])
+        boxes = nodes[node, : bvh8.LINKS].reshape(2, 3, bvh8.WIDTH)
+        for lane in range(bvh8.WIDTH):
+            link = int(links[node, bvh8.LINKS + lane])
             if boxes[0, 0, lane] > boxes[1, 0, lane]:  # unused: no way back up
                 assert link == -1
                 continue
@@ -289,8 +407,8 @@ def test_tree_holds_every_face_once_inside_its_boxes(name):
             if link > 0:
                 waiting.append((link, boxes[0, :, lane], boxes[1, :, lane]))
                 continue
-            leaf = tree.leaves[wide.LEAF * (-1 - link) :][: wide.FACES].reshape(3, 3, wide.WIDTH)
-            for i, face in enumerate(ids[-1 - link, first : first + wide.WIDTH]):
+            leaf = tree.leaves[bvh8.LEAF * (-1 - link) :][: bvh8.FACES].reshape(3, 3, bvh8.WIDTH)
+            for i, face in enumerate(ids[-1 - link, first : first + bvh8.WIDTH]):
                 if face >= 0:
                     np.testing.assert_array_equal(leaf[:, :, i], corners[face])
                     scaled = (corners[face] - np.array(tree.center)) * tree.scale
@@ -303,5 +421,5 @@ def test_tree_holds_every_face_once_inside_its_boxes(name):
 
 def test_corners_stay_in_float32_where_that_is_exact():
     """A mesh of float32 numbers takes half of the memory of one that is not."""
-    assert bvh.build(mesh("ball in float32")).wide.leaves.dtype == np.float32
-    assert bvh.build(mesh("ball")).wide.leaves.dtype == np.float64
+    assert bvh.build(mesh("ball in float32")).bvh8.leaves.dtype == np.float32
+    assert bvh.build(mesh("ball")).bvh8.leaves.dtype == np.float64

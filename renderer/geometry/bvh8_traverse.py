@@ -1,4 +1,4 @@
-"""Descent of the wide tree: one ray against 8 boxes, or 8 triangles, at a time.
+"""Descent of the tree of 8 children: one ray against 8 boxes, or 8 triangles, at a time.
 
 Boxes are tested in float32 in the tree's coordinates, `enter = max over axes of (near plane - o) / d`, with both planes
 moved outwards by 2^-21 R, R being the largest coordinate distance between the ray's origin and the scene. That is 8
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.geometry.bvh import STACK_SIZE
+from termwise.renderer.geometry.bvh8 import FACES, HIGH, LEAF, LINKS, NODE, STACK_SIZE, Bvh8
 from termwise.renderer.geometry.intersect import EDGE_SLACK, FaceRange, Hit, Ray, component
 from termwise.renderer.geometry.simd import (
     as_int,
@@ -39,7 +39,6 @@ from termwise.renderer.geometry.simd import (
     store,
     widen,
 )
-from termwise.renderer.geometry.wide import FACES, HIGH, LEAF, LINKS, NODE, Bvh8
 from termwise.renderer.jit import device
 from termwise.renderer.vector import entry
 

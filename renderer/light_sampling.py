@@ -1,0 +1,110 @@
+"""Samples of the lights for a wave of points: where all lights are few emitting faces, eight at a time.
+
+The bits are those of `lights.sample_light`, whose expressions the lanes repeat: `E / pi = L A cos cos' / (pi p d²)` of
+the point that (u, v) places on the face that u picks.
+"""
+
+import numpy as np
+
+from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.geometry import simd
+from termwise.renderer.geometry.simd import choose, gather, load, minimum, rows, splat, square_root, store
+from termwise.renderer.geometry.wave import SIZE
+from termwise.renderer.jit import device
+from termwise.renderer.lights import BELOW_ONE, FACE, sample_light
+from termwise.renderer.material import emission
+from termwise.renderer.scratch import LightSamples
+from termwise.renderer.surface import Surface
+from termwise.renderer.vector import Vec3, column, entry, put_column, scale
+from termwise.renderer.warp import INV_PI
+
+_VECTORS = simd.available()
+# Faces among which eight lanes look for theirs one after the other.
+_FEW = 8
+
+
+@device
+def sample_lights(scene: SceneArrays, samples: LightSamples, count: int) -> None:
+    """Sample a light for each of the first `count` points."""
+    if _VECTORS and not scene.pick_by_light and _faces_alone(scene):
+        for k in range(0, count, 8):
+            _sample_faces(scene, samples, k)
+        for i in range(count):
+            radiance = Vec3(0.0, 0.0, 0.0)
+            if samples.weight[i] > 0.0:
+                radiant = emission(scene, entry(samples.target, i), samples.b1[i], samples.b2[i])
+                radiance = scale(radiant, samples.weight[i])
+            put_column(samples.irradiance, i, radiance)
+        return
+    for i in range(count):
+        point, normal = column(samples.point, i), column(samples.normal, i)
+        # What arrives depends on the place and the normal alone.
+        surface = Surface(point, normal, normal, -1, -1, 1.0, 0.0, 0.0)
+        irradiance, way, target = sample_light(scene, surface, samples.u[i], samples.v[i])
+        put_column(samples.irradiance, i, irradiance)
+        put_column(samples.way, i, way)
+        samples.target[i] = target
+
+
+@device
+def _faces_alone(scene: SceneArrays) -> bool:
+    count = len(scene.emitters.kind)
+    # Emitters are numbered kind by kind.
+    return 0 < count <= _FEW and scene.emitters.kind[0] == FACE and scene.emitters.kind[count - 1] == FACE
+
+
+@device
+def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
+    """Samples k ... k + 7, but for the radiance."""
+    geometry, emitters = scene.geometry, scene.emitters
+    corners, faces = geometry.corners, emitters.faces
+    u, v = load(samples.u, k, 8), load(samples.v, k, 8)
+    zero, one, none = splat(0.0, 8), splat(1.0, 8), splat(np.int32(0), 8)
+    picked, probability = none, one
+    count = len(emitters.kind)
+    if count > 1:
+        for index in range(1, count):
+            behind = u >= splat(emitters.cdf[index], 8)
+            picked = picked + choose(behind, splat(np.int32(1), 8), none)
+        before = gather(emitters.cdf, picked)
+        probability = gather(emitters.cdf, picked + splat(np.int32(1), 8)) - before
+        u = minimum((u - before) / probability, splat(BELOW_ONE, 8))
+    row = gather(emitters.row, picked)
+    face = gather(faces.face, row)
+    half = splat(0.5, 8)
+    up = v > u
+    # As `square_to_triangle`.
+    b1 = choose(up, u * half, u - v * half)
+    b2 = choose(up, v - u * half, v * half)
+    b0 = one - b1 - b2
+    a = face * splat(np.int32(9), 8)
+    n = face * splat(np.int32(3), 8)
+    p, normal = rows(samples.point, k), rows(samples.normal, k)
+    x = _blend(corners, a, b0, b1, b2) - p[0]
+    y = _blend(corners, a + splat(np.int32(1), 8), b0, b1, b2) - p[1]
+    z = _blend(corners, a + splat(np.int32(2), 8), b0, b1, b2) - p[2]
+    nx = gather(geometry.normals, n)
+    ny = gather(geometry.normals, n + splat(np.int32(1), 8))
+    nz = gather(geometry.normals, n + splat(np.int32(2), 8))
+    cos_light = simd.negative(nx * x + ny * y + nz * z)
+    square = x * x + y * y + z * z
+    distance = square_root(square)
+    strength = splat(INV_PI, 8) * gather(faces.area, row) * cos_light / (distance * probability)
+    cos_surface = normal[0] * x + normal[1] * y + normal[2] * z
+    strength = strength * (cos_surface / (square * distance))
+    lit = (cos_light > zero) & (cos_surface > zero)
+    store(samples.way, k, x)
+    store(samples.way, SIZE + k, y)
+    store(samples.way, 2 * SIZE + k, z)
+    store(samples.weight, k, choose(lit, strength, zero))
+    store(samples.b1, k, b1)
+    store(samples.b2, k, b2)
+    store(samples.target, k, face)
+
+
+@device
+def _blend(corners: np.ndarray, first: int, b0: int, b1: int, b2: int) -> int:
+    """A coordinate of a point of each lane's face: `first` is where that of corner 0 lies."""
+    b = first + splat(np.int32(3), 8)
+    c = b + splat(np.int32(3), 8)
+    return b0 * gather(corners, first) + b1 * gather(corners, b) + b2 * gather(corners, c)
