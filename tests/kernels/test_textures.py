@@ -16,6 +16,13 @@ from termwise.renderer.textures import color_at, from_scene, number_at
 from termwise.scenes.analytic import plate
 from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Texture, Toggles
 
+
+@pytest.fixture
+def _plain(compiled: bool) -> None:
+    if compiled:
+        pytest.skip("as plain Python alone: kernels of their own are compiled by `make exam`, against the references")
+
+
 MODES = {"repeat": "grid-wrap", "clamp": "nearest"}
 
 
@@ -113,9 +120,10 @@ def test_pictures_are_those_of_brute_force():
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_an_image_of_one_value_is_that_value():
-    """All terms, whatever the uv; the reflections of one square in another meet it too."""
+@pytest.mark.usefixtures("_plain")
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_an_image_of_one_value_is_that_value(share: float):
+    """All terms, whatever the uv, and what crosses; the reflections of one square in another meet it too."""
     value = np.array([0.25, 0.5, 0.75])
     image = Texture(np.tile(value, (3, 5, 1)))
     tilted = attrs.evolve(
@@ -127,9 +135,11 @@ def test_an_image_of_one_value_is_that_value():
         ),
     )
     gloss, roughness = (Texture(np.full((2, 2), each)) for each in (0.5, 0.4))
-    things = [attrs.evolve(each, material=Material(image, gloss, roughness)) for each in (square(image), tilted)]
+    steel = 0.04, 0.04, 0.04
+    shown = Material(image, gloss, roughness, steel, share)
+    things = [attrs.evolve(each, material=shown) for each in (square(image), tilted)]
     alpha = float(np.float32(0.4))
-    plain = [attrs.evolve(each, material=Material((0.25, 0.5, 0.75), 0.5, alpha)) for each in things]
+    plain = [attrs.evolve(each, material=Material((0.25, 0.5, 0.75), 0.5, alpha, steel, share)) for each in things]
     light = PointLight((0.3, -0.4, 1.5), (4.0, 3.0, 2.0))
     photons = Photons(count=500, radius=0.5)
     scenes = [
@@ -154,7 +164,7 @@ def test_a_checker_of_two_by_two(wrap: str):
     assert corner == pytest.approx(0.4 if wrap == "repeat" else dark, abs=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("_plain")
 def test_photons_land_where_the_image_is_black_too():
     """A density counts those around a point: half of them would be missing beside a black half, and E with them."""
     half = np.zeros((1, 2, 3), np.float32)

@@ -17,6 +17,7 @@ from termwise import reference
 from termwise.reference import translate
 from termwise.renderer import Engine, find, render
 from termwise.scenes.analytic import plate
+from termwise.scenes.exchange import mitsuba, neutral
 from termwise.scenes.limits import Kernel, Limit
 from termwise.scenes.load import load
 from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Toggles
@@ -94,6 +95,25 @@ color = {{ file = "a.png", wrap = "{wrap}" }}
     ours = render(scene, "ambient", samples=1).mean.reshape(-1, 3)
     assert 0.5 < ours.any(axis=1).mean()
     np.testing.assert_allclose(ours, found, atol=2e-5)
+
+
+def test_mitsubas_xml_lays_the_images_as_ours(tmp_path: Path):
+    """Its file by Mitsuba's own parser, every gloss 0: the colours at what our camera's rays meet."""
+    scene = neutral.diffuse(room(toggles=Toggles(ambient_occlusion=False), ambient=Ambient((1.0, 1.0, 1.0))))
+    scene = attrs.evolve(scene, camera=attrs.evolve(scene.camera, pixel="centre"))
+    mitsuba.write(scene, tmp_path / "room.xml")
+    reference.loaded(scene)
+    import mitsuba as mi
+
+    width, height = scene.resolution
+    film = np.stack(np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height), axis=-1)
+    ways = scene.camera.rays(film.reshape(-1, 2), aspect=1.0)
+    theirs = mi.load_file(str(tmp_path / "room.xml"))
+    si = theirs.ray_intersect(mi.Ray3f(mi.Point3f(*scene.camera.position), mi.Vector3f(ways.T)))
+    found = np.array(si.bsdf().eval_diffuse_reflectance(si, si.is_valid())).T * np.array(si.is_valid())[:, None]
+    ours = render(scene, "ambient", samples=1).mean.reshape(-1, 3)
+    assert ours.std() > 0.05
+    np.testing.assert_allclose(ours, found, atol=1e-4)
 
 
 CASES = {
