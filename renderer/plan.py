@@ -22,7 +22,7 @@ from termwise.renderer.terms import VARIANTS
 from termwise.renderer.terms.variant import CHAINS, Chain, Stored, Variant
 from termwise.renderer.unoccluded import open_sides
 from termwise.scenes.model import Scene
-from termwise.scenes.terms import TABLE, TERMS, Term, first
+from termwise.scenes.terms import TABLE, TERMS, Term, first, reads_of
 
 # The box around a sphere: corners, and triangles that have all of its edges.
 _CUBE = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
@@ -425,6 +425,17 @@ def camera_rays(samples: int, split: int) -> int:
     return sum(end - begin for begin, end in (primary_hits_of(first, last, split) for first, last in parts))
 
 
+def _images(scene: Scene, term: Term) -> str:
+    """The images in a scene's materials, where a term reads those."""
+    if not any(field.startswith("objects.material.") for each in reads_of(term) for field in each.fields):
+        return ""
+    return ", ".join(
+        f"{name} of {thing.name} ({image.texels.shape[1]} x {image.texels.shape[0]})"
+        for thing in scene.objects
+        for name, image in thing.surface.textures.items()
+    )
+
+
 def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: frozenset[str]) -> list[Step]:
     term = variant.term
     pixels = scene.resolution[0] * scene.resolution[1]
@@ -487,6 +498,8 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
             steps.append(Step(term, REDUCTIONS["aimed"].work, "variance reduction", reason, {"photons": spared}))
     elif term == "direct":
         steps.append(Step(term, "photon maps", "skip", variant.no_maps, {"photons": samples * emitted}))
+    if images := _images(scene, term):
+        steps.append(Step(term, "images of surfaces", "runs", f"{images}; bilinear"))
     if TABLE[term].sky and not scene.sky.is_black:
         if "texture" in applied:
             skip("texture", "sky texture")

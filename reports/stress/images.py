@@ -60,7 +60,7 @@ def mitsubas(texture: Texture, places: np.ndarray) -> np.ndarray:
     made = mi.load_dict(
         {
             "type": "bitmap",
-            "bitmap": mi.Bitmap(of_two_at_least(texture.texels)),
+            "bitmap": mi.Bitmap(of_two_at_least(texture.texels).copy()),  # it takes none that is read-only
             "raw": True,
             "wrap_mode": texture.wrap,
             "accel": False,
@@ -116,7 +116,7 @@ def rows(count: int) -> Iterator[Row]:
     for (width, height), wrap in (*itertools.product(SIZES, WRAPS), (LARGE, WRAPS[0])):
 
         def error(lookup: Lookup, width: int = width, height: int = height, wrap: Wrap = wrap) -> float:
-            return excess(image(width, height, wrap), _places(count, 1.0, width, height), lookup)
+            return excess(image(width, height, wrap), _places(count, 0.1, width, height), lookup)
 
         yield Row(
             f"lookup, {width} x {height}, {wrap}",

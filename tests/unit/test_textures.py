@@ -18,6 +18,7 @@ import PIL.Image
 import PIL.PngImagePlugin
 import pytest
 
+from termwise.renderer.plan import plan
 from termwise.renderer.terms import DEFAULTS, VARIANTS
 from termwise.reports.engines import asked
 from termwise.reports.jobs import cells
@@ -26,7 +27,7 @@ from termwise.scenes.analytic import plate
 from termwise.scenes.exchange import gltf, mitsuba, neutral, obj, pbrt
 from termwise.scenes.images import openexr
 from termwise.scenes.load import load
-from termwise.scenes.model import Camera, Material, Mesh, Object, Scene, largest
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Scene, largest
 from termwise.scenes.save import save
 from termwise.scenes.strict import FileError
 from termwise.scenes.terms import TABLE
@@ -230,6 +231,13 @@ def test_the_smallest_and_the_largest_of_an_image_bound_it():
     assert largest(scene.objects[0].material.color) == (0.0, 0.25, 0.0)
     assert scene.diffuse_weight(scene.objects[0].surface) == (0.0, 0.25, 0.0)
     assert TABLE["direct"].has(scene, scene.objects[0].surface)
+
+
+def test_the_plan_names_images_where_they_are_read():
+    scene = textured(lights=load("monkey").lights, ambient=Ambient((1.0, 1.0, 1.0)), draw_lights=True)
+    variants = {term: VARIANTS[term][name] for term, name in DEFAULTS.items()}
+    told = {step.term: step.reason for step in plan(scene, variants) if step.work == "images of surfaces"}
+    assert told == dict.fromkeys(("ambient", "direct"), "color of floor (5 x 3); bilinear")
 
 
 # Meshes.
