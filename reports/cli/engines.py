@@ -71,6 +71,7 @@ def compare(
     diffuse: bool,
     row: list[str] | None,
     probe: bool,
+    approximate: bool,
     out: Path,
     quiet: bool,
     json_: bool,
@@ -89,7 +90,10 @@ def compare(
             raise ValueError(f"engine: {name!r} is given twice: allowed are distinct names")
     chosen = study_of(study)
     chosen = chosen if seed is None else attrs.evolve(chosen, seed=seed)
-    prepared = [neutral.diffuse(scene) if diffuse else scene for scene in scenes_of(chosen, scenes)]
+    read = scenes_of(chosen, scenes, approximate=approximate)
+    for scene in read:
+        terminal.say_substitutions(scene)
+    prepared = [neutral.diffuse(scene) if diffuse else scene for scene in read]
     how = judging.Asking(replicates=chosen.replicates, seed=chosen.seed, spp=spp, probed=probe)
     folder = terminal.folder(out / "engines")
     with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:

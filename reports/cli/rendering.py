@@ -3,9 +3,10 @@
 import itertools
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import attrs
+from cyclopts import Parameter
 from rich.table import Table
 
 from termwise.reports import progress
@@ -34,7 +35,7 @@ def render(
     *,
     term: TermName = None,
     variant: list[str] | None = None,
-    samples: MaybeInteger = None,
+    samples: Annotated[MaybeInteger, Parameter(name=("--samples", "--spp"))] = None,
     replicates: Integer = 1,
     seed: Integer = 0,
     threads: Threads = None,

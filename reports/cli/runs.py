@@ -92,6 +92,7 @@ def compare(
             diffuse=diffuse,
             row=row,
             probe=probe,
+            approximate=approximate,
             out=out,
             quiet=quiet,
             json_=json_,

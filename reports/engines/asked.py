@@ -54,6 +54,7 @@ class Asked:
     described : as `scenes.exchange.neutral` has it; a furnace may say more than our model can.
     depth : how often light may scatter at surfaces: 0 is what the camera sees shine, 1 direct light; None: any number.
     noisy : whether images of other seeds must be others.
+    enough : how often light scatters in it at most, whatever the depth, as about a convex body; None: any number.
     """
 
     name: str
@@ -61,11 +62,14 @@ class Asked:
     described: dict[str, Any]
     depth: int | None = None
     noisy: bool = True
+    enough: int | None = None
 
     @classmethod
-    def of(cls, name: str, scene: Scene, depth: int | None = None, *, noisy: bool = True) -> "Asked":
+    def of(
+        cls, name: str, scene: Scene, depth: int | None = None, *, noisy: bool = True, enough: int | None = None
+    ) -> "Asked":
         """A scene of our model."""
-        return cls(name, scene, neutral.describe(scene), depth, noisy)
+        return cls(name, scene, neutral.describe(scene), depth, noisy, enough)
 
     @property
     def resolution(self) -> tuple[int, int]:
@@ -125,8 +129,13 @@ def lacking(engine: Engine, asked: Asked) -> str | None:
         return f"the scene needs {', '.join(more)}, which its file does not name in `supports`"
     if unsaid := [name for name in needed if name in _UNSAID[says.scene]]:
         return f"its format, {says.scene}, has no exact word for {', '.join(unsaid)}"
-    if asked.depth is not None and says.scene not in ("mitsuba", "termwise") and not says.names("depth"):
-        return "its command has no {depth}"
+    scatters = asked.enough if asked.depth is None else asked.depth
+    if says.max_depth is not None and (scatters is None or scatters > says.max_depth):
+        often = "any number of times" if scatters is None else f"{scatters} times"
+        return f"its light scatters {often}, and its file says max_depth = {says.max_depth}"
+    if asked.depth not in (None, says.max_depth) and says.scene not in ("mitsuba", "termwise"):
+        if not says.names("depth"):
+            return "its command has no {depth}"
     return None
 
 

@@ -46,6 +46,7 @@ PLACES = ("python", "bin", "here", "scene", "output", "folder", "spp", "seed", "
 """What a command may name in braces."""
 _PLACE = re.compile(r"\{([a-z_]+)\}")
 _VERSION_S = 120.0
+_DEEPEST = 1000
 
 _count = in_range(1, 2**31 - 1)
 
@@ -96,7 +97,9 @@ class EngineFile:
     accept_exit : exit statuses that are no failure, so long as the image is whole; below 0 that of a signal.
     timeout_s : seconds after which a run, with all that it has started, is ended.
     spp : samples per pixel where none are asked for.
-    depth : what `{depth}` is where light may scatter as often as it likes.
+    max_depth : how often light scatters in it at most: 1 is a renderer of direct light; None: as often as it likes.
+        A scene whose light scatters more often is ABSENT.
+    depth : what `{depth}` is where light may scatter as often as it likes; 1000 if not said.
     seeds : "reproducible" where one seed gives one image; else "varying", as where threads race.
     noiseless : whether images have no noise, so that they may all be the same.
     packages : what `make engines` installs for it, for pip; `{python}` is then the interpreter of that environment, and
@@ -114,16 +117,28 @@ class EngineFile:
     accept_exit: tuple[int, ...] = (0,)
     timeout_s: float = attrs.field(default=600.0, validator=positive)
     spp: int = attrs.field(default=64, validator=_count)
-    depth: int = attrs.field(default=1000, validator=_count)
+    max_depth: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
+    depth: int | None = attrs.field(default=None, validator=attrs.validators.optional(_count))
     seeds: Literal["reproducible", "varying"] = "reproducible"
     noiseless: bool = False
     packages: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
 
     def __attrs_post_init__(self) -> None:
-        """Refuse a command whose images could not differ."""
+        """Refuse a command whose images could not differ, and a depth that it is not given."""
+        if self.depth is not None and not self.names("depth"):
+            raise ValueError(
+                f"depth = {self.depth!r}: is unused, for command lacks {{depth}}: allowed is max_depth, where light "
+                "scatters so often at most"
+            )
         if not self.noiseless and not self.names("seed") and self.scene != "mitsuba":  # there the file holds it
             raise ValueError("command: lacks {seed}: allowed is a command that is given it, or noiseless = true")
+
+    def scatters(self, asked: int | None) -> int:
+        """What `{depth}` is where so much is asked; None: any number."""
+        if asked is not None:
+            return asked
+        return min(self.depth or _DEEPEST, self.max_depth or _DEEPEST)
 
     def names(self, place: str) -> bool:
         """Whether the command is given something."""

@@ -8,6 +8,7 @@
 | open box of albedo 1 under a sky L | L, on all surfaces and beside them |
 | plate of albedo rho below a rectangle that radiates L | rho E / pi, `E = L/2 sum_k theta_k n.Gamma_k` (Lambert) |
 | plate of albedo rho below a point of intensity I | rho I cos / (pi d²) |
+| the same below a black plate, whose edge casts its shadow along the middle of the picture | that, or 0 |
 
 B is the radiance of the inside. theta_k is the angle that the k-th edge of the lamp is seen under, Gamma_k the unit
 normal of the plane through edge and point; the plate and the lamp, which is black, do not light each other. Pixels are
@@ -24,7 +25,7 @@ import trimesh
 
 from termwise.reports.engines.asked import Asked
 from termwise.scenes import analytic
-from termwise.scenes.model import Camera, Color, Material, Mesh, Object, PointLight, Scene, Sky
+from termwise.scenes.model import BLACK_SURFACE, Camera, Color, Material, Mesh, Object, PointLight, Scene, Sky
 
 RESOLUTION = (16, 12)
 _NODES = 4
@@ -32,6 +33,7 @@ _NODES = 4
 _MIXED: Color = (0.2, 0.5, 0.8)
 _BRIGHT: Color = (0.95, 0.9, 0.85)
 _WHITE: Color = (1.0, 1.0, 1.0)
+_POINT = PointLight((0.3, 0.2, 1.2), (8.0, 4.0, 2.0))
 
 
 @attrs.frozen(eq=False)
@@ -59,6 +61,7 @@ def furnaces() -> list[Furnace]:
         _closed_box(_BRIGHT, (0.25, 0.5, 1.0)),
         _closed_box(_MIXED, (1.0, 0.5, 0.25), depth=1),
         _point_on_plate(),
+        _half_in_shadow(),
         _lamp_over_plate(),
     ]
 
@@ -84,7 +87,8 @@ def _sphere(albedo: Color) -> Furnace:
         resolution=RESOLUTION,
     )
     exact = np.array(albedo) * sky
-    return Furnace(_asked(scene), _constant(tuple(exact)), "rho L, for a convex thing sees the sky alone")
+    words = "rho L, for a convex thing sees the sky alone"
+    return Furnace(_asked(scene, enough=1), _constant(tuple(exact)), words)
 
 
 def _lantern(albedo: Color, share: float) -> Furnace:
@@ -142,14 +146,28 @@ def _plate(name: str, **lit: Any) -> Scene:
 
 
 def _point_on_plate() -> Furnace:
-    light = PointLight((0.3, 0.2, 1.2), (8.0, 4.0, 2.0))
-    scene = _plate("point light over a plate", lights=(light,))
+    scene = _plate("point light over a plate", lights=(_POINT,))
+    return Furnace(_asked(scene, enough=1), _over_pixels(scene, _of_point), "rho I cos / (pi d²)")
+
+
+def _of_point(points: np.ndarray) -> np.ndarray:
+    """Irradiance (N, 3) at points on z = 0, facing up."""
+    way = np.array(_POINT.position) - points
+    return (way[:, 2] / np.linalg.norm(way, axis=1) ** 3)[:, None] * np.array(_POINT.intensity)
+
+
+def _half_in_shadow() -> Furnace:
+    """Above the picture, a black plate whose edge's shadow is the line x = 0: the border of two columns of pixels."""
+    height = 0.9
+    edge = _POINT.position[0] * height / _POINT.position[2]
+    black = analytic.plate("blocker", (edge - 2.0, -2.0, height), (2.0, 0.0, 0.0), (0.0, 4.5, 0.0), BLACK_SURFACE)
+    plain = _plate("plate half in the shadow of another", lights=(_POINT,))
+    scene = attrs.evolve(plain, objects=(*plain.objects, black))
 
     def irradiance(points: np.ndarray) -> np.ndarray:
-        way = np.array(light.position) - points
-        return (way[:, 2] / np.linalg.norm(way, axis=1) ** 3)[:, None] * np.array(light.intensity)
+        return np.where(points[:, :1] > 0.0, _of_point(points), 0.0)
 
-    return Furnace(_asked(scene), _over_pixels(scene, irradiance), "rho I cos / (pi d²)")
+    return Furnace(_asked(scene, enough=1), _over_pixels(scene, irradiance), "rho I cos / (pi d²), and 0 in the shadow")
 
 
 def _lamp_over_plate() -> Furnace:
@@ -162,7 +180,7 @@ def _lamp_over_plate() -> Furnace:
     def irradiance(points: np.ndarray) -> np.ndarray:
         return form(points, corners)[:, None] * np.array(shining.emission)
 
-    return Furnace(_asked(scene), _over_pixels(scene, irradiance), "rho E / pi by Lambert's polygon formula")
+    return Furnace(_asked(scene, enough=1), _over_pixels(scene, irradiance), "rho E / pi by Lambert's polygon formula")
 
 
 def form(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -190,6 +208,6 @@ def _over_pixels(scene: Scene, irradiance: Callable[[np.ndarray], np.ndarray]) -
     return np.einsum("yxvuc,v,u->yxc", values, weights, weights) / 4.0
 
 
-def _asked(scene: Scene, depth: int | None = None) -> Asked:
+def _asked(scene: Scene, depth: int | None = None, *, enough: int | None = None) -> Asked:
     lit = attrs.evolve(scene, draw_lights=True)
-    return Asked.of(scene.name, lit, depth, noisy=False)
+    return Asked.of(scene.name, lit, depth, noisy=False, enough=enough)

@@ -76,7 +76,6 @@ def run(engine: Engine, asked: Asked, *, spp: int, seed: int, threads: int, kept
 
 def _run(engine: Engine, asked: Asked, folder: Path, *, spp: int, seed: int, threads: int) -> Ran:
     says = engine.says
-    depth = says.depth if asked.depth is None else asked.depth
     scene = formats.write(says.scene, asked, folder / "scene", depth=asked.depth, spp=spp, seed=seed)
     output = Path(says.output.replace("{folder}", str(folder)).replace("{seed}", str(seed)))
     command = engine.filled(
@@ -87,7 +86,7 @@ def _run(engine: Engine, asked: Asked, folder: Path, *, spp: int, seed: int, thr
             "folder": folder,
             "spp": spp,
             "seed": seed,
-            "depth": depth,
+            "depth": says.scatters(asked.depth),
             "threads": threads,
         },
     )

@@ -14,6 +14,7 @@ from typing import get_args
 import attrs
 import numpy as np
 import pytest
+import trimesh
 
 import termwise
 from termwise.reports import cli
@@ -26,6 +27,7 @@ from termwise.reports.engines.running import seed_of
 from termwise.reports.jobs.executors import InThisProcess
 from termwise.reports.judging import engines as judging
 from termwise.scenes import analytic, load
+from termwise.scenes.exchange import neutral
 from termwise.scenes.model import Ambient, Sky
 from termwise.scenes.store import ROOT, cache_folder
 from termwise.scenes.strict import FileError
@@ -339,6 +341,12 @@ def test_render_by_command_takes_a_scene_without_gloss_and_the_samples_of_the_fi
     assert min(found["terms"]["total"]["mean"]) > 0.0
 
 
+def test_samples_have_the_name_that_they_have_beside_engines():
+    for name in ("--samples", "--spp"):
+        _, bound, _ = cli.app.parse_args(["render", "monkey", name, "3"], exit_on_error=False)
+        assert bound.arguments["samples"] == 3
+
+
 def test_a_term_is_a_scene_less_what_shines_in_it():
     monkey = load.load("monkey")
     total, ambient, first, every = rows(monkey)
@@ -367,6 +375,52 @@ def test_what_a_scene_needs_and_an_engine_has_not(tmp_path: Path):
     assert "needs glossy," in (lacking(engine, Asked.of("monkey", monkey)) or "")
     textured = attrs.evolve(monkey, sky=Sky(texture=np.ones((2, 4, 3), np.float32)))
     assert "glossy, image-sky," in (lacking(engine, Asked.of("monkey", textured)) or "")
+
+
+def test_a_renderer_of_direct_light_is_judged_where_light_scatters_once(tmp_path: Path):
+    """And says what it is asked beyond: it needs no {depth}, and without it a depth is refused by name."""
+    direct = fake(tmp_path, more="max_depth = 1")
+    free = attrs.evolve(SCENE, depth=None)
+    assert lacking(direct, SCENE) is None
+    assert lacking(direct, free) == "its light scatters any number of times, and its file says max_depth = 1"
+    assert (
+        lacking(direct, attrs.evolve(SCENE, depth=2)) == "its light scatters 2 times, and its file says max_depth = 1"
+    )
+    assert lacking(direct, attrs.evolve(free, enough=1)) is None
+    monkey = neutral.diffuse(load.load("monkey"))
+    said = {row.name: {lacking(direct, part) for _, part in row.parts} for row in rows(monkey)}
+    assert said["direct"] == said["ambient"] == {None}
+    assert all("max_depth = 1" in (each or "") for name in ("total", "direct all") for each in said[name])
+    judged = {each.name: lacking(direct, each.asked) for each in furnaces.furnaces()}
+    assert {name for name, lacks in judged.items() if lacks is None} == {
+        each.name for each in furnaces.furnaces() if each.asked.enough == 1 or each.asked.depth == 1
+    }
+    with pytest.raises(FileError, match=r"depth = 1: is unused, for command lacks \{depth\}: allowed is max_depth"):
+        fake(tmp_path, more="depth = 1")
+
+
+def test_a_renderer_without_shadow_rays_is_found(tmp_path: Path):
+    """The exact image of the shadow against itself, and against the lit plate that such a renderer sees."""
+    shaded, lit = (
+        next(each for each in furnaces.furnaces() if each.name.startswith(name)) for name in ("plate", "point")
+    )
+    traced = np.zeros_like(shaded.exact)
+    light = np.array(shaded.asked.scene.lights[0].position)  # type: ignore[union-attr]
+    width, height = shaded.asked.resolution
+    y, x = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
+    ways = shaded.asked.scene.camera.rays(np.stack([x, y], axis=-1).reshape(-1, 2), aspect=width / height)
+    origin = np.array(shaded.asked.scene.camera.position)
+    points = origin - (origin[2] / ways[:, 2])[:, None] * ways
+    plate, blocker = (trimesh.Trimesh(each.mesh.vertices, each.mesh.faces) for each in shaded.asked.scene.objects)
+    assert plate.ray.intersects_any(np.tile(origin, (len(ways), 1)), ways).all()
+    assert not blocker.ray.intersects_any(np.tile(origin, (len(ways), 1)), ways).any()
+    free = ~blocker.ray.intersects_any(points, light - points).reshape(height, width)
+    traced[free] = lit.exact[free]
+    np.testing.assert_allclose(traced, shaded.exact, rtol=1e-12)
+    assert free.any()
+    assert not free.all()
+    stack = np.repeat(lit.exact[None], 4, axis=0)
+    assert termwise.judge(stack, shaded.exact[None], exact=True, noiseless=True, hint=False).verdict == "BIASED"
 
 
 def test_environment_of_an_adapter_has_no_path_of_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

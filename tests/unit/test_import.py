@@ -16,6 +16,7 @@ import PIL.Image
 import pytest
 import trimesh
 
+from termwise.reports import cli
 from termwise.reports.cli import judging, terminal
 from termwise.reports.judging import engines
 from termwise.reports.results.microscope import replay_command
@@ -406,6 +407,23 @@ def test_a_study_takes_files_of_others(tmp_path: Path):
     assert len(scene.substitutions) == 1
     described = describe(study, next(subjects.subjects(study, (scene,))), [])
     assert described["substitutions"] == [*scene.substitutions]
+
+
+def test_engines_are_compared_on_files_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    path = changed(tmp_path, lambda d: light(d).update(range=3.0))
+    seen: list[Scene] = []
+    monkeypatch.setattr(terminal, "choose_backend", lambda _: "any")
+    monkeypatch.setattr(
+        engines, "compare", lambda found, scenes, *_, **__: seen.extend(scenes) or engines.Judged([], [], [])
+    )
+    words = ["compare", str(path), "--study", "quick", "--engine", "ours", "--out", str(tmp_path)]
+    with pytest.raises(FileError, match="range 3.0"):
+        cli.app(words, exit_on_error=False, result_action="return_value")
+    cli.app([*words, "--approximate"], exit_on_error=False, result_action="return_value")
+    assert "range 3.0" in seen[0].substitutions[0]
+    assert "range 3.0" in capsys.readouterr().err
 
 
 def test_a_scene_to_judge_against_may_be_a_file_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
