@@ -4,6 +4,7 @@ Importing this package is cheap; Mitsuba is imported by the functions that rende
 """
 
 import hashlib
+import inspect
 import sys
 import tempfile
 import time
@@ -71,13 +72,14 @@ def render(
 
     if words := backend.slow(backend.active()):
         warnings.warn(words, stacklevel=2)
-    compile_kernels(scene, limit)
-    begin = time.perf_counter()
-    images = []
-    for number in range(replicates):
-        images.append(replicate(scene, limit, spp=spp, seed=seed, replicate=number))
-        if progress:
-            progress()
+    with backend.rendering():
+        compile_kernels(scene, limit)
+        begin = time.perf_counter()
+        images = []
+        for number in range(replicates):
+            images.append(replicate(scene, limit, spp=spp, seed=seed, replicate=number))
+            if progress:
+                progress()
     return TermImage.from_replicates(np.array(images), samples=spp, seconds=time.perf_counter() - begin, keep=keep)
 
 
@@ -99,9 +101,11 @@ def replicate_parts(
     `by_second`: by another integrator that means the same, with random numbers of its own; see `has_second`.
     """
     spp = whole("spp", spp)
-    here = loaded(scene)
+    from termwise.reference import backend
+
     number = rng_seed(limit, seed, replicate, by_second=by_second)
-    images = here.render(attrs.asdict(limit), spp=spp, seed=number, by_second=by_second)
+    with backend.rendering():
+        images = loaded(scene).render(attrs.asdict(limit), spp=spp, seed=number, by_second=by_second)
     return dict(zip(parts(limit), images.astype(np.float32), strict=True))
 
 
@@ -178,9 +182,18 @@ _loaded: dict[str, Any] = {}
 class _Package(ModuleType):
     """`termwise.reference` is this package and, for users, the function `render`: a call of the one is the other."""
 
-    def __call__(self, *arguments: Any, **options: Any) -> TermImage:
+    def __call__(self, scene: Any = None, limit: Any = None, **options: Any) -> TermImage:
         """See `render`."""
-        return render(*arguments, **options)
+        for name, value, allowed in (
+            ("scene", scene, "the name of one, a path or a Scene"),
+            ("limit", limit, f"{', '.join(TABLE)} or a Limit"),
+        ):
+            if value is None:
+                raise ValueError(f"termwise.reference: {name} is missing: allowed is {allowed}")
+        return render(scene, limit, **options)
 
+
+__signature__ = inspect.signature(render)
+"""What `help` and notebooks show of the call."""
 
 sys.modules[__name__].__class__ = _Package

@@ -7,6 +7,7 @@ Its outcome is kept in the cache, named by all that it depends on. `python -m re
 native libraries that are missing and says what will render.
 """
 
+import contextlib
 import hashlib
 import importlib
 import importlib.metadata
@@ -16,6 +17,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -194,6 +196,7 @@ def import_mitsuba(requested: str | None = None) -> Any:
         As `choose`; a library that Mitsuba links is missing; the process renders with another variant.
     """
     global _active
+    mi: Any
     if _active is None:
         backend = choose(requested)
         if backend.llvm_path:
@@ -202,7 +205,27 @@ def import_mitsuba(requested: str | None = None) -> Any:
         _active = backend
     elif requested not in (None, _active.variant):
         raise BackendError(f"{requested}: this process already renders with {_active.variant}; start another")
-    return importlib.import_module("mitsuba")
+    mi = importlib.import_module("mitsuba")
+    if mi.variant() != _active.variant:  # a user's own
+        mi.set_variant(_active.variant)
+    return mi
+
+
+@contextlib.contextmanager
+def rendering() -> Iterator[Any]:
+    """Mitsuba with our variant; afterwards a caller's own is set again.
+
+    Raises
+    ------
+    ValueError, BackendError : as `import_mitsuba`.
+    """
+    loaded: Any = sys.modules.get("mitsuba")
+    before = loaded.variant() if loaded else None
+    try:
+        yield import_mitsuba()
+    finally:
+        if before is not None and loaded.variant() != before:
+            loaded.set_variant(before)
 
 
 def limit_threads(count: int) -> None:
@@ -213,9 +236,9 @@ def limit_threads(count: int) -> None:
 
 def active() -> Backend:
     """Return the backend of this process, started if it was not."""
-    import_mitsuba()
-    assert _active is not None
-    return _active
+    with rendering():
+        assert _active is not None
+        return _active
 
 
 def main() -> None:

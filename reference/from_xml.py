@@ -74,8 +74,12 @@ def read(path: Path, *, approximate: bool) -> Scene:
     ------
     reference.backend.BackendError : Mitsuba cannot run here.
     """
-    mi: Any = backend.import_mitsuba()
-    found = Import(path, approximate)
+    with backend.rendering() as mi:
+        return _read(mi, Import(path, approximate))
+
+
+def _read(mi: Any, found: Import) -> Scene:
+    path = found.path
     root, made = _parsed(mi, path)
     try:
         _check(found, root)

@@ -332,6 +332,8 @@ class _SceneFile:
 def _light(value: Any, _kind: Any) -> model.Light:
     if not isinstance(value, dict):
         raise TypeError("a table")
+    if "type" in value and "kind" not in value:
+        raise ValueError(f"type = {value['type']!r}: unknown key: allowed is kind, one of {', '.join(model.LIGHTS)}")
     name = value.get("kind", model.PointLight.kind)
     kind = model.LIGHTS.get(name) if isinstance(name, str) else None
     if kind is None:

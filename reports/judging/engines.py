@@ -4,7 +4,7 @@ What an engine cannot say is ABSENT, what it fails at FAILED, each with its reas
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +74,7 @@ def furnace(
 ) -> Judged:
     """Render the furnaces and judge them against their radiance; pages go to `folder`."""
     scenes = furnaces()
-    family = _Family(how, report, len(engines) * len(scenes) * how.replicates)
+    family = _Family(how, report, _steps(engines, ([each.asked] for each in scenes), how))
     for engine in family.believed(engines):
         for each in scenes:
             name = each.name if len(engines) == 1 else f"{engine.name}: {each.name}"
@@ -106,7 +106,8 @@ def compare(
     for name in only:
         if name not in asking.ROWS:
             raise ValueError(f"row = {name!r}: allowed are {', '.join(asking.ROWS)}")
-    family = _Family(how, report, len(engines) * len(scenes) * how.replicates * 5)
+    present = (row for scene in scenes for row in asking.rows(scene) if row.name in only and row.absent is None)
+    family = _Family(how, report, _steps(engines, ([part for _, part in row.parts] for row in present), how))
     believed = list(family.believed(engines))
     spp = max([reference_spp, *(how.samples(engine) for engine in engines)])
     for scene in scenes:
@@ -267,6 +268,16 @@ def engine(engine: str | Path) -> Renderer:
     FileError : a missing or malformed file, an unknown key, a value that is not allowed; a `ValueError`.
     """
     return Renderer(load_engine(engine))
+
+
+def _steps(engines: Sequence[Engine], rows: Iterable[list[Asked]], how: Asking) -> int:
+    """Images that will be rendered: those of rows for which an engine lacks nothing."""
+    return sum(
+        len(parts) * (1 if engine.says.noiseless else how.replicates)
+        for parts in rows
+        for engine in engines
+        if not any(lacking(engine, part) for part in parts)
+    )
 
 
 class _Family:

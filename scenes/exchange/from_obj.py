@@ -1,15 +1,17 @@
 """A scene from OBJ with its MTL: an object for each name and material; `Kd` reflects, `Ke` is the radiance of a lamp.
 
-Coordinates stay as they are. OBJ has no camera, point light or sky; what is assumed in their place is listed.
+Coordinates stay as they are. OBJ has no camera, point light or sky; what is assumed in their place is listed. The
+camera of our own export is read from its comment.
 """
 
+import re
 from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
 
-from termwise.scenes.exchange.imported import MIRROR, Import
+from termwise.scenes.exchange.imported import MIRROR, Import, look
 from termwise.scenes.meshes import obj
 from termwise.scenes.meshes.polygons import triangulate
 from termwise.scenes.model import BLACK, Color, Material, Scene
@@ -18,6 +20,15 @@ from termwise.scenes.textures import Texture, read_color
 
 _TRANSMITS = (4, 6, 7, 9)
 """Values of `illum` that mean glass or refraction."""
+_THREE = r"\S+ \S+ \S+"
+_CAMERA = re.compile(
+    rf"^# camera: at (?P<position>{_THREE}), forward (?P<forward>{_THREE}), up (?P<up>{_THREE}), "
+    r"(?P<fov>\S+) degrees across, (?P<width>\d+) x (?P<height>\d+) pixels: ",
+    re.MULTILINE,
+)
+"""As `exchange.obj` writes it."""
+_HEAD = 65536
+"""Bytes in which that comment is."""
 _PLAIN = (0, 1)
 """Values of `illum` that mean no highlight."""
 
@@ -57,7 +68,20 @@ def read(path: Path, *, approximate: bool) -> Scene:
         chosen = np.flatnonzero([pair == (thing, used) for pair in pairs])
         corners = np.concatenate([np.arange(starts[i], starts[i] + content.counts[i]) for i in chosen])
         _object(found, content, name, corners, content.counts[chosen], looks, used)
+    _camera(found)
     return found.scene()
+
+
+def _camera(found: Import) -> None:
+    """The camera and the size of the picture that `exchange.obj` writes into a comment."""
+    with found.path.open("rb") as file:
+        head = file.read(_HEAD).decode("utf-8", "replace")
+    said = _CAMERA.search(head)
+    if said is None:
+        return
+    numbers = [[float(number) for number in said[name].split()] for name in ("position", "forward", "up")]
+    found.camera = look(*numbers, float(said["fov"]))
+    found.resolution = int(said["width"]), int(said["height"])
 
 
 def _object(

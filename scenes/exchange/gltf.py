@@ -37,6 +37,10 @@ def write(scene: Scene, path: Path) -> list[str]:
     camera = described["camera"]
     eye = {"name": "camera", "camera": 0, "matrix": _frame(camera)}
     nodes = [{"name": described["name"], "matrix": UPRIGHT, "children": []}, *objects, *lights, eye]
+    # Objects keep their names, which are distinct: by them a scene is told what it is.
+    taken = {thing["name"] for thing in objects}
+    for node in (nodes[0], *lights, eye):
+        node["name"] = _free(node["name"], taken)
     nodes[0]["children"] = list(range(1, len(nodes)))
     used = {"KHR_materials_specular": bool(objects), "KHR_materials_emissive_strength": content.strong}
     used["KHR_lights_punctual"] = bool(lights)
@@ -68,6 +72,16 @@ def write(scene: Scene, path: Path) -> list[str]:
         found["extensions"] = {"KHR_lights_punctual": {"lights": kinds}}
     write_atomically(path, lambda temporary: temporary.write_bytes(_glb(found, bytes(content.data))))
     return missing
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """A name that is not taken, which it then is."""
+    free, number = name, 1
+    while free in taken:
+        number += 1
+        free = f"{name} {number}"
+    taken.add(free)
+    return free
 
 
 def left_out(described: dict[str, Any]) -> list[str]:

@@ -202,6 +202,8 @@ class Import:
         if self.camera is None:
             self.camera = _framing(*bounds)
             self.assume("a camera that sees all of it, z up, for the file has none")
+            if self.sky is None and self._hides_lights(self.camera.position):
+                self.assume("faces hide all lights from that camera: of a closed room it sees the dark outside")
         sky = self.sky or Sky()
         if self.sky is None and not self.lights and not any(thing.emits for thing in self.objects):
             if self.approximate:
@@ -221,6 +223,15 @@ class Import:
             draw_lights=True,
             substitutions=tuple(self.substitutions),
         )
+
+    def _hides_lights(self, eye: Any) -> bool:
+        """Whether there are lights, and from a point none is seen: of a lamp the centroid, from its front."""
+        corners = np.concatenate([thing.mesh.vertices[thing.mesh.faces] for thing in self.objects])
+        places = [np.array(thing.mesh.centroid()) for thing in self.objects if thing.emits]
+        places += [np.array(light.centre) for light in self.lights if light.centre is not None]
+        if not places or len(places) < sum(thing.emits for thing in self.objects) + len(self.lights):
+            return False  # what shines from afar is seen
+        return all(_hidden(np.asarray(eye, float), place, corners) for place in places)
 
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
         places = [thing.mesh.vertices for thing in self.objects] or [np.zeros((1, 3))]
@@ -251,6 +262,21 @@ def turned(mesh: Mesh, chosen: np.ndarray) -> Mesh:
     faces = np.where(chosen[:, None], mesh.faces[:, ::-1], mesh.faces)
     uv = None if mesh.uv is None else np.where(chosen[:, None, None], mesh.uv[:, ::-1], mesh.uv)
     return attrs.evolve(mesh, faces=faces, uv=uv)
+
+
+def _hidden(eye: np.ndarray, place: np.ndarray, corners: np.ndarray) -> bool:
+    """Whether a triangle of (F, 3, 3) stands between two points, well before the second (Möller and Trumbore)."""
+    way = place - eye
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(way, second)
+    from_corner = eye - corners[:, 0]
+    turned_once = np.cross(from_corner, first)
+    with np.errstate(all="ignore"):  # triangles along the way
+        scale = 1.0 / np.einsum("fc,fc->f", first, across)
+        u = scale * np.einsum("fc,fc->f", from_corner, across)
+        v = scale * (turned_once @ way)
+        t = scale * np.einsum("fc,fc->f", second, turned_once)
+    return bool(((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0 - 1e-3)).any())
 
 
 def _append(names: list[str], name: str) -> None:

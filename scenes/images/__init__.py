@@ -75,7 +75,9 @@ def read(path: Path, layer: str | None = None) -> list[Image]:
                 f"{path}: is a {name} image, which holds what a screen shows, rounded, clipped and encoded, "
                 "not radiance: write OpenEXR (float, ZIP), NPY or PFM"
             )
-    if not first or any(magic.startswith(first[: len(magic)]) for magic in _READERS):
+    if not first:
+        raise ValueError(f"{path}: is empty, no image: allowed are {ALLOWED}")
+    if any(magic.startswith(first[: len(magic)]) for magic in _READERS):
         raise ValueError(f"{path}: is cut short: it holds {len(first)} bytes: allowed are images ({ALLOWED})")
     raise ValueError(f"{path}: is no image of a kind that can be read: allowed are {ALLOWED}")
 

@@ -490,3 +490,23 @@ def test_a_file_without_light_is_dark_unless_one_may_stand_for_it(tmp_path: Path
     assert dark.sky.is_black
     assert any("no light, for the file has none" in line for line in dark.substitutions)
     assert load(path, approximate=True).sky.color == (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_caller_s_variant_stays(first: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Whether ours is chosen in the call or was before; what is read and rendered is what it is with ours."""
+    path, mi = written(tmp_path, plain("")), backend.import_mitsuba()
+    ours, own = mi.variant(), "scalar_spectral"
+    limit = reference.shared(small("monkey", 2, 2), physical("direct"))
+    expected = reference.replicate(small("monkey", 2, 2), limit, spp=1, seed=1)
+    digest = load(path).digest()
+    try:
+        mi.set_variant(own)
+        if first:
+            monkeypatch.setattr(backend, "_active", None)
+        assert load(path).digest() == digest
+        assert mi.variant() == own
+        np.testing.assert_array_equal(reference.replicate(small("monkey", 2, 2), limit, spp=1, seed=1), expected)
+        assert mi.variant() == own
+    finally:
+        mi.set_variant(ours)

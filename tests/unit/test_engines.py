@@ -53,6 +53,8 @@ if mode == "other":
 if mode != "nothing":
     with open(output, "wb") as file:
         file.write(b"PF\\n%d %d\\n-1.0\\n" % (width, height) + struct.pack("<%df" % len(values), *values))
+if mode in ("text", "empty"):
+    open(output, "w").write("hello" if mode == "text" else "")
 if mode == "old":
     os.utime(output, (1e9, 1e9))
 if mode == "aborts":
@@ -129,6 +131,8 @@ def test_an_engine_that_is_nowhere():
         ("size", "image.pfm is 7 x 4 pixels: allowed is 6 x 4, as the scene says"),
         ("nan", "holds 1 values NaN or infinite, the first at pixel (2, 2)"),
         ("old", "image.pfm is older than the run: it is of another one"),
+        ("text", "image.pfm: is no image of a kind that can be read"),
+        ("empty", "image.pfm: is empty, no image"),
         ("aborts", "was ended by SIGABRT (exit status -6)"),
     ],
 )
@@ -288,7 +292,11 @@ def test_an_engine_that_fails_leaves_the_other_rows(tmp_path: Path, monkeypatch:
     two = [each for each in furnaces.furnaces() if "point" in each.name or each.asked.depth == 1]
     monkeypatch.setattr(judging, "furnaces", lambda: two)
     how = judging.Asking(replicates=4, spp=4, threads=1, probed=False)
-    judged = judging.furnace([fake(tmp_path, "dies"), tiny()], tmp_path / "out", how)
+    steps: list[tuple[int, int]] = []
+    judged = judging.furnace(
+        [fake(tmp_path, "dies"), tiny()], tmp_path / "out", how, report=lambda _, done, of: steps.append((done, of))
+    )
+    assert steps[-1] == (4, 8)  # of a row that failed and one that was rendered; ABSENT ones are no work
     assert [each.word for each in judged.unjudged] == ["ABSENT", "FAILED", "ABSENT"]  # scattering once asks for {depth}
     assert "needs point" in judged.unjudged[2].reason
     assert [each.name for each in judged.outcomes] == [f"tiny: {each.name}" for each in two if each.asked.depth == 1]

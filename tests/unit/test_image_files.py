@@ -204,7 +204,7 @@ def test_what_is_no_radiance_is_refused(tmp_path: Path):
     (tmp_path / "a.toml").write_text("camera = 1\nresolution = [1, 2]\n")
     refused(tmp_path / "a.toml", "no image", "OpenEXR", "PFM")
     (tmp_path / "empty.exr").touch()
-    refused(tmp_path / "empty.exr", "cut short", "0 bytes")
+    refused(tmp_path / "empty.exr", "is empty, no image")
     refused(tmp_path / "none.exr", "no such file")
 
 

@@ -103,6 +103,14 @@ def test_obj_comes_back_as_it_went(name: str, tmp_path: Path):
     obj.write(given, tmp_path / "there.obj")
     found = load(tmp_path / "there.obj")
     same_geometry(found, given)
+    same_camera(found, given)
+    assert found.resolution == given.resolution
+    text = (tmp_path / "there.obj").read_text()
+    assert "# camera: " in text
+    (tmp_path / "there.obj").write_text(text.replace("# camera: ", "# "))  # as another program writes it
+    found = load(tmp_path / "there.obj")
+    closed = any("faces hide all lights" in line for line in found.substitutions)
+    assert closed == (name == "cornell_box")
     for mine, theirs in zip(found.objects, given.objects, strict=True):
         assert (mine.surface.color, mine.surface.gloss) == (theirs.surface.color, 0.0)
         assert mine.emission == theirs.emission
@@ -173,6 +181,16 @@ def test_lights_of_all_kinds_go_through_glb(tmp_path: Path):
         assert isinstance(wrote, DirectionalLight | SunLight)
         np.testing.assert_allclose(read.way, wrote.way, atol=1e-12)
         assert read.irradiance == wrote.irradiance
+
+
+def test_nodes_of_glb_have_names_of_their_own(tmp_path: Path):
+    given = neutral.diffuse(small("monkey"))
+    named = [attrs.evolve(each, name=name) for each, name in zip(given.objects, ("camera", "monkey"), strict=True)]
+    gltf.write(attrs.evolve(given, objects=tuple(named)), tmp_path / "there.glb")
+    content = (tmp_path / "there.glb").read_bytes()
+    names = [node["name"] for node in json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])["nodes"]]
+    assert len(names) == len({*names})
+    assert {thing.name for thing in load(tmp_path / "there.glb").objects} == {"camera", "monkey"}
 
 
 # GLB by hand

@@ -5,6 +5,7 @@ traceback out of a kernel.
 """
 
 import base64
+import inspect
 import io
 import re
 from typing import Any
@@ -194,3 +195,10 @@ def test_a_notebook_shows_the_picture():
     broken = attrs.evolve(gray, mean=np.full((2, 3, 3), np.nan))
     assert "base64" in broken._repr_html_()
     assert isinstance(load("two_cubes"), Scene)
+
+
+def test_a_reference_shows_its_parameters_and_names_the_one_that_is_missing():
+    assert [*inspect.signature(termwise.reference).parameters][:3] == ["scene", "limit", "spp"]
+    with pytest.raises(ValueError, match=r"limit is missing: allowed is .*direct.* or a Limit") as refused:
+        termwise.reference("monkey")
+    assert "\n" not in str(refused.value)

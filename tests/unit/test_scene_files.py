@@ -117,6 +117,10 @@ BAD = {
         GOOD + '[[lights]]\nkind = "laser"\nposition = [0.0, 0.0, 1.0]\n',
         ["lights[0]", "kind = 'laser'", "point, spot, directional, sun, sphere"],
     ),
+    "light of a type": (
+        GOOD + "[[lights]]\ntype = 'point'\nposition = [0.0, 0.0, 2.0]\nintensity = [1.0, 1.0, 1.0]\n",
+        ["lights[0]", "type = 'point'", "allowed is kind, one of point, spot"],
+    ),
     "light that is a number": (GOOD + "[[lights]]\nkind = 1\n", ["lights[0]", "kind = 1", "point, spot"]),
     "spot without a direction": (
         GOOD + SPOT.format("[0, 0, 1]", "cutoff = 20"),
