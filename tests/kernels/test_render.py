@@ -18,7 +18,7 @@ from termwise.renderer.scratch import SEEN_BYTES
 from termwise.scenes.analytic import closed_box, disc_over_plane, furnace, glossy_sphere, rectangle_light, unit_sphere
 from termwise.scenes.limits import Kernel
 from termwise.scenes.load import library, load
-from termwise.scenes.model import Ambient, Camera, Photons, PointLight, Scene, Sky, Toggles
+from termwise.scenes.model import Ambient, Camera, Photons, PointLight, Scene, Sky, Toggles, largest
 from termwise.scenes.terms import TERMS, Term
 
 
@@ -121,7 +121,7 @@ def first_hit_of_facets(scene: Scene) -> np.ndarray:
     d, cos = d.min(axis=-1), np.take_along_axis(cos, nearest[..., None], -1)[..., 0]
     (lamp,) = scene.lights
     assert isinstance(lamp, PointLight)
-    return scene.objects[0].material.color[0] * lamp.intensity[0] * cos / (np.pi * d * d)
+    return largest(scene.objects[0].material.color)[0] * lamp.intensity[0] * cos / (np.pi * d * d)
 
 
 def test_unit_sphere_first_hit(compiled):

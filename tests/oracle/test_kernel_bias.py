@@ -42,7 +42,7 @@ def test_the_interior_has_the_bias_of_the_laplacian():
     laplacian = h * (9 * square - 6 * h * h) * (h * h + square) ** -3.5
     truth = np.repeat(irradiance[None, ..., None] * np.ones(3), 2, axis=0)
     ours = np.stack([render(scene, "direct", variant="photon-map", samples=1, seed=seed).mean for seed in range(16)])
-    weight = (1 - scene.objects[0].material.gloss) * np.array(scene.objects[0].material.color) / np.pi
+    weight = np.array(scene.diffuse_weight(scene.objects[0].material)) / np.pi
     found = kernel_bias.shares(ours / weight, truth, classes)
     interior = classes == kernel_bias.CLASSES.index("interior")
     predicted = (r * r / 16 * laplacian)[interior].sum() / irradiance.sum()

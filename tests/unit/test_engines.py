@@ -363,7 +363,7 @@ def test_a_term_is_a_scene_less_what_shines_in_it():
     assert (lit.depth, sign) == (1, -1)
     assert lit.described["sky"] == {"type": "constant", "radiance": list(monkey.ambient.color)}
     assert lit.described["lights"] == []
-    weights = [[c * (1 - each.material.gloss) for c in each.material.color] for each in monkey.objects]
+    weights = [list(monkey.diffuse_weight(each.material)) for each in monkey.objects]
     assert np.allclose([each["material"]["color"] for each in lit.described["objects"]], weights, rtol=1e-12)
     assert not any(any(each["material"]["color"]) for each in shines.described["objects"])
     assert (first.parts[0][1].depth, every.parts[0][1].depth) == (1, None)

@@ -16,7 +16,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from termwise.scenes.load import library, load
-from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Sky
+from termwise.scenes.model import (
+    Ambient,
+    Camera,
+    Material,
+    Mesh,
+    Object,
+    Photons,
+    PointLight,
+    Scene,
+    Sky,
+    largest,
+    least,
+)
 from termwise.scenes.strict import FileError
 
 CAMERA = "[camera]\nposition = [0.0, -3.0, 1.0]\ntarget = [0.0, 0.0, 0.0]\n"
@@ -287,8 +299,8 @@ def test_library_loads(name):
     scene = load(name)
     assert scene.name == name
     assert scene.has_lights
-    assert all(o.material.roughness >= 0.2 for o in scene.objects if o.material.gloss > 0)
-    assert any(o.material.gloss > 0 for o in scene.objects)
+    assert all(least(o.material.roughness) >= 0.2 for o in scene.objects if largest(o.material.gloss) > 0)
+    assert any(largest(o.material.gloss) > 0 for o in scene.objects)
     for thing in scene.objects:
         np.testing.assert_array_equal(thing.mesh.vertices, thing.mesh.vertices.astype(np.float32))
 
