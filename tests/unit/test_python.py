@@ -200,5 +200,5 @@ def test_a_notebook_shows_the_picture():
 def test_a_reference_shows_its_parameters_and_names_the_one_that_is_missing():
     assert [*inspect.signature(termwise.reference).parameters][:3] == ["scene", "limit", "spp"]
     with pytest.raises(ValueError, match=r"limit is missing: allowed is .*direct.* or a Limit") as refused:
-        termwise.reference("monkey")
+        termwise.reference("monkey")  # pyright: ignore[reportCallIssue]
     assert "\n" not in str(refused.value)
