@@ -234,7 +234,9 @@ def _check_images(scene: Scene) -> None:
     """Refuse an image of so many texels along a face that single precision cannot tell them apart."""
     for thing in scene.objects:
         places = _uv(thing)
-        for name, image in thing.surface.textures.items() if places is not None else ():
+        if places is None:
+            continue
+        for name, image in thing.surface.textures.items():
             along = np.ptp(places, axis=1).max(axis=0) * image.texels.shape[1::-1]
             if along.max() > LONGEST:
                 raise ValueError(

@@ -68,7 +68,7 @@ class Texture:
     texels: np.ndarray = attrs.field(
         converter=_texels, eq=False, repr=lambda texels: f"<{texels.shape[1]} x {texels.shape[0]}>"
     )
-    wrap: Wrap = attrs.field(default="repeat", validator=_wrap)
+    wrap: Wrap = attrs.field(default="repeat", validator=_wrap)  # type: ignore[assignment]
     low: tuple[float, ...] = _of_channels(np.min)
     high: tuple[float, ...] = _of_channels(np.max)
     content: str = attrs.field(

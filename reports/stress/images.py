@@ -113,7 +113,8 @@ def _places(count: int, reach: float, width: int, height: int) -> np.ndarray:
 def rows(count: int) -> Iterator[Row]:
     """Rows of the group."""
     figure = "largest error over its roundings"
-    for (width, height), wrap in (*itertools.product(SIZES, WRAPS), (LARGE, WRAPS[0])):
+    kinds: list[tuple[tuple[int, int], Wrap]] = [*itertools.product(SIZES, WRAPS), (LARGE, "repeat")]
+    for (width, height), wrap in kinds:
 
         def error(lookup: Lookup, width: int = width, height: int = height, wrap: Wrap = wrap) -> float:
             return excess(image(width, height, wrap), _places(count, 0.1, width, height), lookup)
