@@ -710,7 +710,7 @@ PLANTS = (
     Plant("translucency: s for 1 - s", LEAF_AMBIENT, _MATERIAL, "crosses = u < share", "crosses = u < 1.0 - share"),
     Plant(
         "translucency: an open side taken for both",
-        LEAF_AMBIENT,
+        Test("tests/kernels/test_translucency.py::test_ambient_light_is_hidden_on_one_side"),
         _MATERIAL,
         "return sees and scene.materials.open[surface.object, 1 if front else 0]",
         "return sees",

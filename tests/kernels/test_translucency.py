@@ -145,6 +145,12 @@ def test_ambient_light_is_hidden_on_one_side():
     found = image(scene, "ambient", "cosine", 64)
     assert found.mean() == pytest.approx(0.75 * 0.5 + 0.25, rel=0.03)
     np.testing.assert_array_equal(found, image(scene, "ambient", "cosine", 64, without=("open",)))
+    # Of a hollow body the outside is open, and no light comes from within.
+    hollow = attrs.evolve(box("hollow", (-0.5, -0.5, -0.5)), material=Material(WHITE, translucency=share))
+    alone = attrs.evolve(scene, objects=(hollow,), camera=Camera((3.0, -4.0, 2.0), (0.0, 0.0, 0.0), fov=8.0))
+    found = image(alone, "ambient", "cosine", 64)
+    assert found.mean() == pytest.approx(0.75, rel=0.02)
+    np.testing.assert_array_equal(found, image(alone, "ambient", "cosine", 64, without=("open",)))
     # Within a range that ends before the disc both sides are open, and no ray is traced.
     near = attrs.evolve(scene, ambient=Ambient(WHITE, 0.5))
     with Engine(near) as engine:
