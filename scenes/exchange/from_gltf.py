@@ -16,7 +16,7 @@ import PIL.Image
 
 from termwise.scenes.exchange.imported import LONGEST, Import, Unsaid, coated, look
 from termwise.scenes.meshes.glb import File, described
-from termwise.scenes.model import Color, DirectionalLight, Material, PointLight, Scene, SpotLight
+from termwise.scenes.model import Color, DirectionalLight, Material, PointLight, Scene, SpotLight, largest
 from termwise.scenes.srgb import decoded
 
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -104,7 +104,9 @@ def _translucent(found: Import, used: Any, name: str, material: Material) -> Mat
     for texture in ("diffuseTransmissionTexture", "diffuseTransmissionColorTexture"):
         if texture in given:
             found.instead(name, texture, "its factor alone")
-    if share > 0.0 and not np.allclose(given.get("diffuseTransmissionColorFactor", (1.0, 1.0, 1.0)), material.color):
+    if share > 0.0 and not np.allclose(
+        given.get("diffuseTransmissionColorFactor", (1.0, 1.0, 1.0)), largest(material.color)
+    ):
         found.instead(name, "diffuseTransmissionColorFactor", "the colour of the diffuse part")
     return attrs.evolve(material, translucency=share)
 
