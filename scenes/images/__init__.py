@@ -76,7 +76,7 @@ def read(path: Path, layer: str | None = None) -> list[Image]:
                 "not radiance: write OpenEXR (float, ZIP), NPY or PFM"
             )
     if not first:
-        raise ValueError(f"{path}: is empty, no image: allowed are {ALLOWED}")
+        raise ValueError(f"{path}: is empty, no image: it is cut short or was never written: allowed are {ALLOWED}")
     if any(magic.startswith(first[: len(magic)]) for magic in _READERS):
         raise ValueError(f"{path}: is cut short: it holds {len(first)} bytes: allowed are images ({ALLOWED})")
     raise ValueError(f"{path}: is no image of a kind that can be read: allowed are {ALLOWED}")
