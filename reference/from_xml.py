@@ -28,6 +28,7 @@ from termwise.scenes.model import (
     Sky,
     SphereLight,
     SpotLight,
+    largest,
 )
 from termwise.scenes.strict import FileError
 
@@ -199,7 +200,7 @@ def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
         center, radius = _ball(found, node, matrix)
         flipped ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)  # a mirrored sphere looks inwards
         if any(emission) and not flipped:
-            if any(material.color) or material.gloss > 0.0:
+            if any(largest(material.color)) or largest(material.gloss) > 0.0:
                 found.instead(node.name, "a lamp that reflects", "a black one")
             found.lights.append(SphereLight(tuple(center.tolist()), radius, emission))
             return

@@ -79,8 +79,8 @@ def _camera(found: Import) -> None:
     said = _CAMERA.search(head)
     if said is None:
         return
-    numbers = [[float(number) for number in said[name].split()] for name in ("position", "forward", "up")]
-    found.camera = look(*numbers, float(said["fov"]))
+    position, forward, up = ([float(each) for each in said[name].split()] for name in ("position", "forward", "up"))
+    found.camera = look(position, forward, up, float(said["fov"]))
     found.resolution = int(said["width"]), int(said["height"])
 
 
