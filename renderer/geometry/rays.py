@@ -21,7 +21,7 @@ from termwise.renderer.geometry.polygons import (
 from termwise.renderer.geometry.simd import lowest_bit
 from termwise.renderer.geometry.wave import BACKOFF, SIZE, Wave, put_hit
 from termwise.renderer.jit import device, kernel, subroutine
-from termwise.renderer.vector import column, vec3
+from termwise.renderer.vector import column, entry, vec3
 
 _VECTORS = simd.available()
 _NEAREST, _ANY = range(2)
@@ -94,7 +94,7 @@ if _VECTORS:
             i = lowest_bit(left)
             left &= left - 1
             ray = make_ray(column(wave.origins, i), column(wave.directions, i))
-            ignore = FaceRange(wave.first[i], wave.end[i])
+            ignore = FaceRange(entry(wave.first, i), entry(wave.end, i))
             put_hit(wave, i, bvh8_traverse.closest_hit(tree.bvh8, ray, far, ignore, stack))
 
     @device

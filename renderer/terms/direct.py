@@ -469,15 +469,16 @@ def _bounce(scene: SceneArrays, paths: _Paths, begin: int, count: int, kept: int
         surface = surface_of(scene, scratch.rays, k)
         if surface.face < 0:
             continue
-        path = paths.alive[begin + k]
+        path = entry(paths.alive, begin + k)
         throughput = mul(vec3(paths.throughput, path), diffuse_weight(scene, surface))
         survival = min(scene.most_survival, max_component(throughput) / FAINT)
         if not survives(survival, scratch.u[k]):
             continue
         put(paths.throughput, path, scale(throughput, 1.0 / survival))
         _put_place(paths, path, surface)
-        paths.vertex[path] += 1
-        paths.key[path] = fold(paths.key[path], _PATH + paths.vertex[path])
+        vertex = paths.vertex[path] + 1
+        paths.vertex[path] = vertex
+        paths.key[path] = fold(paths.key[path], _PATH + vertex)
         paths.alive[kept] = path
         kept += 1
     return kept
