@@ -91,6 +91,7 @@ class Statistics:
     variance, reference_variance : of one replicate, mean over pixels and channels, in radiance².
     non_finite, negative : values of ours that are NaN, infinite (or beyond float32), or negative.
     invalid : the first of them.
+    quantum : relative rounding of the stored values of both sides, beyond float32's: what no samples make less.
     warnings : tuple of str
     """
 
@@ -118,6 +119,7 @@ class Statistics:
     non_finite: int
     negative: int
     invalid: tuple[InvalidPixel, ...]
+    quantum: float
     warnings: tuple[str, ...]
 
     @property
@@ -237,6 +239,7 @@ def measure(
         non_finite=invalid.non_finite,
         negative=invalid.negative,
         invalid=tuple(invalid.first[:LISTED_PIXELS]),
+        quantum=sums.quantum,
         warnings=tuple(warnings),
     )
 

@@ -11,6 +11,8 @@ from termwise.reports.statistics.welch import Comparison
 
 EVERYWHERE = 0.5
 """Share of the lit tiles that must be seen to be off, the same way, for an error to be called everywhere."""
+COARSE = 0.1
+"""Share of the margin above which rounding alone leaves a row open."""
 HOPELESS = 1e5
 """Times the samples that nobody takes."""
 _WIDESPREAD = 0.2
@@ -52,6 +54,8 @@ def _open(verdict: Verdict, statistics: Statistics) -> str:
             (low, high), what = rest, _BUT_FOR
         between = f"{what}between {_signed(low)} and {_signed(high)}"
         return f"not decided: {between}, likely off by more than ±{_share(verdict.margin + verdict.allowance)}"
+    if statistics.quantum > COARSE * (verdict.margin + verdict.allowance):
+        return "not decided: lossy compression hides what is looked for, and no samples help: write ZIP"
     if verdict.samples_to_margin is not None:
         return f"too noisy to say: needs {verdict.samples_to_margin} samples a pixel"
     if verdict.samples_ratio <= 1:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 
 import termwise
@@ -222,6 +223,18 @@ def test_what_no_samples_help_is_not_counted_in_them(draw: Draw):
     ours = draw()
     ours[3, 5, 5] = 1e9
     assert "do a few pixels hold all the light" in termwise.judge(ours, draw()).headline
+
+
+def test_what_lossy_files_hide_no_samples_show(draw: Draw, tmp_path: Path):
+    header = {"compression": OpenEXR.DWAA_COMPRESSION, "type": OpenEXR.scanlineimage}
+    for side in ("ours", "theirs"):
+        (tmp_path / side).mkdir()
+        for k, image in enumerate(draw().astype(np.float32)):
+            OpenEXR.File(header, {"RGB": image}).write(str(tmp_path / side / f"{k}.exr"))
+    judged = termwise.judge(tmp_path / "ours", tmp_path / "theirs")
+    assert judged.verdict == "UNDERPOWERED"
+    assert judged.headline.endswith("no samples help: write ZIP")
+    assert any("lossy compression (DWAA)" in line for line in judged.warnings)
 
 
 def test_files_are_named_where_they_do_not_fit(draw: Draw, tmp_path: Path):
