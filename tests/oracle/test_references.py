@@ -83,7 +83,7 @@ def test_a_wrong_weight_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def unmasked(self: Any, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         bs, weight = right(self, ctx, si, sample1, sample2, active)
         wh = dr.normalize(si.wi + bs.wo)
-        return bs, dr.select(dr.any(weight > 0.0), self._factor * self._fresnel(dr.dot(si.wi, wh)), 0.0)
+        return bs, dr.select(dr.any(weight > 0.0), self._factor(si, active) * self._fresnel(dr.dot(si.wi, wh)), 0.0)
 
     reference._loaded.clear()
     monkeypatch.setattr(CookTorrance, "sample", unmasked)
