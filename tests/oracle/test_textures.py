@@ -119,8 +119,8 @@ def test_mitsubas_xml_lays_the_images_as_ours(tmp_path: Path):
 CASES = {
     "ambient": ("ambient", "cosine", 32, Limit("ambient"), 128),
     "path": ("direct", "path", 64, Limit("direct", scope="all"), 256),
-    "photons": ("direct", "photon-map", 4, Limit("direct", scope="all", kernel=Kernel("simpson", radius=0.4)), 4),
-    "specular": ("specular", "vndf", 64, Limit("specular", scope="all"), 256),
+    "photons": ("direct", "photon-map", 8, Limit("direct", scope="all", kernel=Kernel("simpson", radius=0.4)), 8),
+    "specular": ("specular", "vndf", 256, Limit("specular", scope="all"), 1024),
 }
 
 
@@ -143,7 +143,7 @@ def test_terms_agree(name: str):
     apart = a.mean(axis=0) - b.mean(axis=0)
     noise = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 16)
     assert (np.abs(apart) < 4.5 * noise).all()
-    assert (noise < 0.01 * theirs.mean()).all()
+    assert (noise < 0.02 * theirs.mean()).all()
     relative = ours.mean(axis=(0, 1, 2)) / theirs.mean(axis=(0, 1, 2)) - 1.0
     assert (np.abs(relative) < 0.01).all()
 
