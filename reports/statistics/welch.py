@@ -143,7 +143,8 @@ def _borrowed(mean: np.ndarray, variance: np.ndarray, other: np.ndarray, event: 
     A sparse estimator may have no sample there, and its variance of 0 then proves nothing. Such a place has, for the
     mean of the other side, the larger of two: the largest variance relative to the square of the mean found anywhere on
     that side; and that of a Poisson law, mean times `event`, what one event of the flux E, at most of the brightest
-    pixel's, adds to the mean of all replicates. A term that is lost there stays proven where the side is otherwise sure of itself.
+    pixel's, adds to the mean of all replicates. A term that is lost there stays proven where the side is otherwise
+    sure of itself.
     """
     lost = (mean == 0) & (other > 0)
     if not lost.any():
