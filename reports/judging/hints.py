@@ -11,6 +11,7 @@ refutes, at the level that each has in the whole, is not tried on the rest. Mean
 whole is allowed the same of its own, and an error of a part is less of it.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
@@ -100,9 +101,12 @@ class Correction:
     always: bool = False
 
     def then(self, other: "Correction") -> "Correction":
-        """Both, this one first."""
+        """Both, this one first; the reason of one stands behind both."""
+        if not self.text:
+            return other
+        (what, *why), (also, *too) = self.text.split(": "), other.text.split(": ")
         return Correction(
-            f"{self.text} and {other.text.removeprefix('ours is ')}",
+            ": ".join([f"{what} and {also.removeprefix('ours is ')}", *(["; ".join(why + too)] if why or too else [])]),
             lambda image: other.ours(self.ours(image)),
             lambda image: other.reference(self.reference(image)),
             margin=max(self.margin, other.margin),
@@ -110,6 +114,7 @@ class Correction:
         )
 
 
+_NONE = Correction("")
 _BORDER = Correction("the outermost pixels (1 px) are left out: the border alone is off", margin=1)
 
 
@@ -145,6 +150,25 @@ class _Halves:
             return luminance_of(pair[0])[..., None], luminance_of(pair[1])[..., None]
 
         return _Halves(luminance(self.ours), luminance(self.reference))
+
+    @property
+    def level(self) -> "_Halves":
+        """Ours with the mean of the reference."""
+        ours, reference = (float(np.mean(each)) for each in self.means)
+        if not (np.isfinite(ours) and np.isfinite(reference) and ours > 0 and reference > 0):
+            return self
+        first, second = (each * (reference / ours) for each in self.ours)
+        return _Halves((first, second), self.reference)
+
+    def thinned(self, correction: Correction) -> "_Halves":
+        """Corrected, its undefined border left out, and of a large image every n-th row and column."""
+        step = max(1, min(self.ours[0].shape[:2]) // PART)
+
+        def changed(pair: tuple[Image, Image], change: Change) -> tuple[Image, Image]:
+            first, second = (_inner(change(image), correction.margin)[::step, ::step] for image in pair)
+            return first, second
+
+        return _Halves(changed(self.ours, correction.ours), changed(self.reference, correction.reference))
 
     def squares(self, correction: Correction) -> Image:
         """Square error that a correction leaves, without noise: a product of two halves has none in its mean."""
@@ -215,14 +239,7 @@ def hints(
         singles = [each for each in singles if not each.margin]
     found = [hint for each in _promising(singles, halves) if (hint := tried(each))] + ([border] if border else [])
     if not found:
-        means = halves.means
-        pairs = [
-            moved.then(scaled)
-            for moved in singles
-            if moved.moves and not moved.margin or "order" in moved.text
-            for scaled in _factors(moved.ours(means[0]), moved.reference(means[1]), None)
-        ]
-        found = [hint for each in _promising(pairs, halves, best=1) if (hint := tried(each))]
+        found = list(itertools.islice(filter(None, map(tried, _several(singles, halves, ours))), 1))
     return tuple(sorted(found, key=lambda hint: hint.left)[:LISTED])
 
 
@@ -305,6 +322,39 @@ def _promising(corrections: list[Correction], halves: _Halves, best: int | None 
     yield from good[:best]
 
 
+def _several(singles: list[Correction], halves: _Halves, stack: np.ndarray) -> Iterator[Correction]:
+    """The best of two causes at once, of three, of four: where pixels lie, the order of channels, what values became.
+
+    The values of a large image are compared on a part of its pixels, after they were moved: a shift of one pixel
+    would be none between every fourth.
+    """
+    lie = [()] + [(each,) for each in singles if each.moves and each.margin <= REACH + 1]
+    orders = [()] + [(each,) for each in singles if "order" in each.text]
+    enough = _PROMISING * _seen(halves.thinned(_NONE), 0)
+    best: dict[int, tuple[float, Correction]] = {}
+    for moved, order in itertools.product(lie, orders):
+        placed = halves.thinned(functools.reduce(Correction.then, (*moved, *order), _NONE))
+        for changes in _values(placed, stack):
+            parts = (*moved, *order, *changes)
+            left = placed.left(functools.reduce(Correction.then, changes, _NONE))
+            if len(parts) > 1 and left < best.get(len(parts), (enough,))[0]:
+                best[len(parts)] = left, functools.reduce(Correction.then, parts)
+    for count in sorted(best):
+        yield best[count][1]
+
+
+def _values(halves: _Halves, stack: np.ndarray) -> Iterator[tuple[Correction, ...]]:
+    """Changes of values alone: none, a factor, a curve, and a factor or an upper end after the curve is undone."""
+    yield ()
+    yield from ((factor,) for factor in _factors(*halves.means, None))
+    most = _upper_end(stack)
+    for curve in _curves():
+        yield (curve,)
+        yield from ((curve, factor) for factor in _factors(*halves.thinned(curve).means, None))
+        if most is not None:
+            yield curve, _ended(float(curve.ours(np.array([most]))[0]))
+
+
 def _seen(halves: _Halves, margin: int) -> float:
     """The mean square error between the mean images; 0 where noise alone explains it, which nothing improves."""
     found = halves.left(Correction("", margin=margin))
@@ -336,7 +386,8 @@ def _singles(stack: np.ndarray, halves: _Halves, statistics: Statistics) -> Iter
 
 def _shift(halves: _Halves) -> Correction | None:
     """The best shift: of whole pixels first, then by a half around it; None where none is better than none."""
-    grey = halves.grey
+    # Of equal mean: in an image that is too bright half of a pixel would blur some of it away.
+    grey = halves.grey.level
 
     def best(steps: Iterable[tuple[float, float]]) -> tuple[float, float]:
         return min(steps, key=lambda step: grey.left(_shifted(*step)))
@@ -421,13 +472,21 @@ def _clamps(stack: np.ndarray, ours: Image, reference: Image) -> Iterator[Correc
             return np.minimum(image, limit)
 
         yield Correction(text, clamp, clamp, always=True)
+    if (most := _upper_end(stack)) is not None:
+        yield _ended(most)
+
+
+def _upper_end(stack: np.ndarray) -> float | None:
+    """The greatest value, if so many pixels have it that they were clamped."""
     most = float(np.max(stack))
-    if np.count_nonzero(stack == most) > max(3, len(stack)):
+    return most if np.count_nonzero(stack == most) > max(3, len(stack)) else None
 
-        def clipped(image: Image) -> Image:
-            return np.minimum(image, most)
 
-        yield Correction(f"the reference is clamped at {most:.4g}, above which ours has no value", reference=clipped)
+def _ended(most: float) -> Correction:
+    return Correction(
+        f"the reference is clamped at {most:.4g}, above which ours has no value",
+        reference=lambda image: np.minimum(image, most),
+    )
 
 
 def _blurs(ours: Image, reference: Image) -> Iterator[Correction]:

@@ -17,6 +17,7 @@ from termwise.reports.judging import hints
 from termwise.reports.judging.suite import slug
 from termwise.reports.results.exr import write_exr
 from termwise.reports.statistics import accumulation
+from termwise.scenes import srgb
 from termwise.scenes.terms import TermImage
 
 SIZE = 48
@@ -67,6 +68,17 @@ def hinted(judgement: "termwise.reports.judging.judge.Judgement") -> str:
         (lambda image: np.roll(image, (-1, 2), (0, 1)), "ours is shifted by 2 px to the left, 1 px down"),
         (lambda image: np.minimum(image, 0.9), "the reference is clamped at 0.9"),
         (lambda image: np.pi * image[::-1], "ours is flipped upside down and divided by π"),
+        (lambda image: image[::-1, :, ::-1], "ours is flipped upside down and the channels of ours are taken in the order BGR"),
+        (lambda image: np.pi * np.roll(image, -2, 1), "ours is shifted by 2 px to the right and divided by π"),
+        (
+            lambda image: srgb.encoded(image)[:, ::-1, ::-1],
+            "left to right and the channels of ours are taken in the order BGR and decoded by sRGB's curve: it is",
+        ),
+        (
+            lambda image: np.minimum(srgb.encoded(image), 1.0),
+            "sRGB's curve and the reference is clamped at 1, above which ours has no value: it is sRGB-encoded",
+        ),
+        (lambda image: srgb.encoded(2 * image), "decoded by sRGB's curve and divided by 2: it is sRGB-encoded"),
     ],
 )
 def test_a_planted_cause_is_hinted_at(draw: Draw, change: Callable, words: str):
