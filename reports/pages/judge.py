@@ -56,10 +56,18 @@ def write(folder: Path, *, root: str = "") -> Path:
     error, mean = pictures.relative_error(ours, reference)
     scale = pictures.error_scale([error])
     shown = pictures.display(ours, exposure=exposure)
+    channels = pictures.channel_errors(ours, reference, mean)
+    end = pictures.error_scale([channels])
     drawn = {
         "ours": picture("ours", shown),
         "reference": picture("reference", pictures.display(reference, exposure=exposure)),
         "error": picture("error", pictures.diverge(error, scale=scale)),
+        "channels": [
+            (name, picture(f"error {name}", pictures.diverge(channels[..., index], scale=end)))
+            for index, name in enumerate(("red", "green", "blue"))
+            if np.ptp(channels, axis=2).any()  # one picture says all of a grey image
+        ],
+        "end": end,
         "maps": p_maps(dataset, "tiles", picture),
         "scale": scale,
         "mean": mean,

@@ -12,6 +12,7 @@ find one, the fuller the surer, and outlined where Holm does.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -40,6 +41,8 @@ GREYS = 200, 250
 NOTHING = 110
 """Grey where neither side has anything."""
 _OUTLINE = 3
+_OPTIMIZED = 2**19
+"""Pixels of the largest picture whose file is made as small as can be."""
 
 # ColorBrewer's RdBu, safe for colour-blind eyes; its middle is made white, since 0 is no error.
 _KNOTS = np.array([unlabel_rgb(colour) for colour in reversed(diverging.RdBu)])
@@ -74,6 +77,11 @@ def relative_error(ours: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray,
     means = [float(np.mean(each[np.isfinite(each)])) if np.isfinite(each).any() else 0.0 for each in luminances]
     scale = next((mean for mean in reversed(means) if mean > 0), 1.0)
     return (luminances[0] - luminances[1]) / scale, scale
+
+
+def channel_errors(ours: np.ndarray, reference: np.ndarray, scale: float) -> np.ndarray:
+    """Signed errors (H, W, 3) of the channels, of `scale`, that of `relative_error`."""
+    return (np.asarray(ours, np.float64) - np.asarray(reference, np.float64)) / scale
 
 
 def error_scale(errors: list[np.ndarray]) -> float:
@@ -148,4 +156,6 @@ def write_png(path: Path, radiance: np.ndarray, *, exposure: float) -> None:
 def save(path: Path, pixels: np.ndarray) -> None:
     """Write (H, W, 3) uint8 as PNG; it appears whole or not at all."""
     image = Image.fromarray(np.ascontiguousarray(pixels))
-    write_atomically(path, lambda temporary: image.save(temporary, format="PNG", optimize=True))
+    # Of large images the smallest file takes many times as long as one that is little larger.
+    how: dict[str, Any] = {"optimize": True} if pixels[..., 0].size <= _OPTIMIZED else {"compress_level": 1}
+    write_atomically(path, lambda temporary: image.save(temporary, format="PNG", **how))

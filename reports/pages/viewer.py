@@ -58,7 +58,7 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
     Returns
     -------
     `terms`: for each the variants, each with its image's key and, by name, the references' keys; `scales`: the ends ±q
-    of the maps by term and reference, shared by its variants, q the quantile of the static pictures.
+    of the maps, of luminance and of a channel, by term and reference, shared by its variants, q the quantile of the static pictures.
     """
     dataset = scene.dataset(run)
     if not dataset.sizes["cell"]:
@@ -90,9 +90,17 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
                 continue
             signed, mean = pictures.relative_error(ours[cell], references[limit])
             luminance = references[limit].astype(np.float64) @ LUMINANCE
-            maps = found.setdefault((term, name), {"signed": [], "relative": []})
-            maps["signed"].append(signed)
-            maps["relative"].append(signed * mean / np.maximum(luminance, FLOOR * mean))
+            channels = pictures.channel_errors(ours[cell], references[limit], mean)
+            share = mean / np.maximum(luminance, FLOOR * mean)
+            each = {
+                "signed": signed,
+                "relative": signed * share,
+                "signed channel": channels,
+                "relative channel": channels * share[..., None],
+            }
+            maps = found.setdefault((term, name), {kind: [] for kind in each})
+            for kind, error in each.items():
+                maps[kind].append(error)
             row = scene.row(term, variant, name) or scene.row(term, variant, "own") or {}
             against[name] = {
                 "key": f"limit-{limit}",

@@ -7,8 +7,10 @@ const find = (id) => document.getElementById(id);
 const { width, height } = viewed;
 const AGAINST = viewed.against ?? { own: "own limit", correct: "correct", physical: "physical" };
 const MAPS = { reference: "reference", signed: "signed error", relative: "relative error", deviations: "deviations", p: "p-map", flip: "FLIP" };
+const CHANNELS = ["luminance", "red", "green", "blue"];
+const OF_CHANNEL = ["signed", "relative", "deviations"]; // maps that a channel has alone
 const START = {
-  term: "total" in viewed.terms ? "total" : Object.keys(viewed.terms)[0], variant: null, shown: "ours", against: "own", beside: "signed", side: 16,
+  term: "total" in viewed.terms ? "total" : Object.keys(viewed.terms)[0], variant: null, shown: "ours", against: "own", beside: "signed", channel: "luminance", side: 16,
   ev: 0, curve: "srgb", gamma: 2.2, split: false, at: 0.5, zoom: 1, x: width / 2, y: height / 2, pixel: null,
 };
 let state = { ...START };
@@ -147,7 +149,8 @@ function scaleOf(map) {
   if (map === "flip") return 1;
   if (map === "deviations") return viewed.deviations;
   const against = variant().against[state.against] ? state.against : Object.keys(variant().against)[0];
-  return viewed.scales[state.term][against][map];
+  const kind = state.channel !== "luminance" && OF_CHANNEL.includes(map) ? `${map} channel` : map;
+  return viewed.scales[state.term][against][kind];
 }
 
 function map() {
@@ -155,7 +158,10 @@ function map() {
   const reference = loaded.get(pair().key);
   const end = scaleOf(state.beside);
   const mean = pair().mean;
-  const apart = (pixel) => luminance(ours, pixel) - luminance(reference, pixel);
+  const channel = CHANNELS.indexOf(state.channel) - 1; // -1 is luminance
+  const apart = channel < 0
+    ? (pixel) => luminance(ours, pixel) - luminance(reference, pixel)
+    : (pixel) => ours[3 * pixel + channel] - reference[3 * pixel + channel];
   switch (state.beside) {
     case "signed":
       return coloured((pixel) => apart(pixel) / mean, viewed.diverging, -end, end);
@@ -163,6 +169,7 @@ function map() {
       return coloured((pixel) => apart(pixel) / Math.max(luminance(reference, pixel), viewed.floor * mean), viewed.diverging, -end, end);
     case "deviations":
       return coloured((pixel) => {
+        if (channel >= 0) return deviation(ours, reference, 3 * pixel + channel);
         const found = [0, 1, 2].map((channel) => deviation(ours, reference, 3 * pixel + channel));
         return found.reduce((a, b) => (Math.abs(b) > Math.abs(a) || Number.isNaN(b) ? b : a));
       }, viewed.diverging, -end, end);
@@ -390,12 +397,13 @@ function pColours() {
   return [...found(-1), ...not, ...found(1).reverse()];
 }
 
+const ofLuminance = () => (state.channel === "luminance" ? "" : " in luminance");
 const EXPLAINED = {
-  signed: "Ours − reference, luminance, of the reference’s mean",
-  relative: "Ours − reference, luminance, of the reference’s pixel",
-  deviations: "Ours − reference over its standard error, of the channel where it is greatest",
-  p: "Tiles with a bias of luminance: coloured as found by Benjamini-Hochberg (adjusted p ≤ 0.05), outlined as found by Holm; light grey not found, dark grey nothing on either side",
-  flip: "FLIP of both as displayed at the scene’s exposure (+0.0 EV, sRGB)",
+  signed: () => `Ours − reference, ${state.channel}, of the reference’s mean${ofLuminance()}`,
+  relative: () => `Ours − reference, ${state.channel}, of the reference’s pixel${ofLuminance()}`,
+  deviations: () => `Ours − reference over its standard error, ${state.channel === "luminance" ? "of the channel where it is greatest" : state.channel}`,
+  p: () => "Tiles with a bias of luminance: coloured as found by Benjamini-Hochberg (adjusted p ≤ 0.05), outlined as found by Holm; light grey not found, dark grey nothing on either side",
+  flip: () => "FLIP of both as displayed at the scene’s exposure (+0.0 EV, sRGB)",
 };
 
 // Controls
@@ -439,6 +447,8 @@ function controls() {
   sync("against", has.map((each) => [each, AGAINST[each]]), state.against, (value) => change({ against: value, ...(state.shown === "ours" ? {} : { shown: value }) }));
   sync("beside", Object.entries(MAPS), state.beside, (value) => change({ beside: value }));
   find("term").value = state.term;
+  find("channel").value = state.channel;
+  find("channel").disabled = !OF_CHANNEL.includes(state.beside);
   find("side").value = state.side;
   find("side").disabled = state.beside !== "p";
   find("curve").value = state.curve;
@@ -469,6 +479,7 @@ function valid(wanted) {
   if (!(next.against in its.against)) next.against = Object.keys(its.against)[0] ?? "own";
   if (next.shown !== "ours") next.shown = next.against;
   if (!(next.beside in MAPS)) next.beside = START.beside;
+  if (!CHANNELS.includes(next.channel)) next.channel = START.channel;
   if (!viewed.sides.includes(next.side)) next.side = START.side;
   if (next.curve !== "gamma") next.curve = "srgb";
   const within = (value, low, high, otherwise) => (Number.isFinite(value) ? Math.min(Math.max(value, low), high) : otherwise);
@@ -537,9 +548,9 @@ async function draw() {
   caption(find("left"), state.split ? `Left ${words[0]}; right ${words[1]}` : words[0]);
   find("right").classList.toggle("stale", stale());
   if (state.beside === "reference") caption(find("right"), name(state.against));
-  else if (state.beside === "p") caption(find("right"), untested() ? `No p-map: ${untested()}` : EXPLAINED.p, untested() ? null : "p");
-  else if (stale()) caption(find("right"), `${EXPLAINED.flip}: not that of the pictures shown now. Reset exposure and curve to see it`, "flip");
-  else caption(find("right"), pair().flip || state.beside !== "flip" ? EXPLAINED[state.beside] : "FLIP knows nothing of invalid pixels", state.beside);
+  else if (state.beside === "p") caption(find("right"), untested() ? `No p-map: ${untested()}` : EXPLAINED.p(), untested() ? null : "p");
+  else if (stale()) caption(find("right"), `${EXPLAINED.flip()}: not that of the pictures shown now. Reset exposure and curve to see it`, "flip");
+  else caption(find("right"), pair().flip || state.beside !== "flip" ? EXPLAINED[state.beside]() : "FLIP knows nothing of invalid pixels", state.beside);
   repaint();
   root.dataset.state = "ready";
 }
@@ -604,6 +615,7 @@ const act = {
   f: flip,
   t: () => change({ term: after(Object.keys(viewed.terms), state.term) }),
   m: () => change({ beside: after(Object.keys(MAPS), state.beside) }),
+  h: () => change({ channel: after(CHANNELS, state.channel) }),
   w: () => change({ beside: "p", side: after(viewed.sides, state.side) }),
   e: () => change({ ev: state.ev + 0.5 }),
   E: () => change({ ev: state.ev - 0.5 }),
@@ -642,6 +654,8 @@ for (const term of Object.keys(viewed.terms)) find("term").add(new Option(term, 
 find("term").parentElement.toggleAttribute("hidden", Object.keys(viewed.terms).length < 2);
 find("against").toggleAttribute("hidden", Object.keys(AGAINST).length < 2);
 find("term").addEventListener("change", (event) => change({ term: event.target.value }));
+for (const channel of CHANNELS) find("channel").add(new Option(channel));
+find("channel").addEventListener("change", (event) => change({ channel: event.target.value }));
 for (const side of viewed.sides) find("side").add(new Option(`${side} px`, side));
 find("side").addEventListener("change", (event) => change({ side: Number(event.target.value) }));
 find("curve").addEventListener("change", (event) => change({ curve: event.target.value }));
