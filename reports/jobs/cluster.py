@@ -57,7 +57,12 @@ _NEWS_SECONDS = 0.5
 _VERSION = importlib.metadata.version("distributed")
 _RETRIES = 2
 """Of a job whose worker cannot write: another may have room."""
-_SETTINGS = {"distributed.scheduler.allowed-failures": LOSSES, "distributed.scheduler.worker-ttl": "60 s"}
+_SETTINGS = {
+    "distributed.scheduler.allowed-failures": LOSSES,
+    "distributed.scheduler.worker-ttl": "60 s",
+    # dask's own makes glibc give every image back to the system: a seventh of a worker's time went into fetching pages.
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+}
 
 
 Names = tuple[str, ...]
@@ -330,7 +335,8 @@ class _Run:
         self.cluster, self.cache, self.terms = cluster, cache, terms
         self.client = cluster.client
         self.scenes: dict[int, tuple[Scene, Future]] = {}
-        self.todo: deque[Job] = deque()
+        self.todo: dict[str, deque[Job]] = {}  # by what they are of, which a worker compiles and traces once
+        self.has: dict[str, str] = {}  # what a worker had last
         self.sent: dict[Future, _Batch] = {}
         self.most = 1  # jobs in a batch, of what a moment has
         self.refused: set[str] = set()
@@ -342,11 +348,12 @@ class _Run:
     def outcomes(self, jobs: Sequence[Job], dropped: Callable[[Job], bool]) -> Iterator[Outcome]:
         """Keep workers supplied, and forget each job as it ends."""
         ended: Any = distributed.as_completed(loop=self.client.loop)
-        self.todo.extend(jobs)
+        for job in jobs:
+            self.todo.setdefault(job.what, deque()).append(job)
         try:
             while True:
                 while self.todo and (worker := self._free()):
-                    if batch := (yield from self._next(dropped)):
+                    if batch := (yield from self._next(worker, dropped)):
                         ended.add(self._send(batch, worker))
                 if not self.sent:
                     return
@@ -382,13 +389,16 @@ class _Run:
             raise ClusterError(f"{_address(self.client)}: no worker there is like this machine")
         return alike
 
-    def _next(self, dropped: Callable[[Job], bool]) -> Generator[Outcome, None, list[Job]]:
-        """Jobs of one scene for a batch; what is kept costs no message."""
-        batch: list[Job] = []
-        while self.todo and len(batch) < self.most:
-            job = self.todo.popleft()
+    def _next(self, worker: str, dropped: Callable[[Job], bool]) -> Generator[Outcome, None, list[Job]]:
+        """Jobs of one scene and kind for a batch; what is kept costs no message."""
+        others = {self.has[each] for each in self.workers if each != worker and each in self.has}
+        own = (what for what in (self.has.get(worker), *self.todo) if what in self.todo and what not in others)
+        what = next(own, None) or next(iter(self.todo))
+        queue, batch = self.todo[what], list[Job]()
+        while queue and len(batch) < self.most:
+            job = queue.popleft()
             if batch and job.scene is not batch[0].scene:
-                self.todo.appendleft(job)
+                queue.appendleft(job)
                 break
             if dropped(job):
                 continue
@@ -396,7 +406,15 @@ class _Run:
                 yield Outcome(job)
             else:
                 batch.append(job)
+        if batch:
+            self.has[worker] = what
+        if not queue:
+            del self.todo[what]
         return batch
+
+    def _put_back(self, jobs: Sequence[Job]) -> None:
+        for job in reversed(jobs):
+            self.todo.setdefault(job.what, deque()).appendleft(job)
 
     def _send(self, jobs: list[Job], worker: str) -> Future:
         scene = jobs[0].scene
@@ -434,11 +452,11 @@ class _Run:
                 raise
             # Not by dask's `retries`: it would ask the same worker again.
             self.full.add(batch.worker)
-            self.todo.extendleft(reversed(batch.jobs))
+            self._put_back(batch.jobs)
             return
         future.release()
         done = [each for each in done if not self._refused(each)]
-        self.todo.extendleft(reversed(batch.jobs[len(done) :]))
+        self._put_back(batch.jobs[len(done) :])
         self.most = min(2 * len(done), _MOST) if len(done) == len(batch.jobs) else max(1, len(done))
         for job, names, each in zip(batch.jobs, batch.names, done, strict=False):
             for name, content in zip(names, each.files, strict=False):
