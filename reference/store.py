@@ -4,11 +4,13 @@ One float32 NPY file per replicate and term, beside it a JSON file with the seco
 whole or not at all; a file that is missing, cut short or altered is rendered again.
 """
 
+import functools
 import hashlib
 import importlib.metadata
 import io
 import json
 import math
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -208,7 +210,15 @@ def key(scene: Scene, limit: Limit, *, spp: int, seed: int, by_second: bool = Fa
 
 def _variant() -> str:
     # `choose` does not import Mitsuba: a run that finds all replicates here never loads it.
-    return (backend.active() if "mitsuba" in sys.modules else backend.choose()).variant
+    if "mitsuba" in sys.modules:
+        return backend.active().variant
+    return _chosen(*(os.environ.get(name) for name in ("TERMWISE_BACKEND", "DRJIT_LIBLLVM_PATH")))
+
+
+@functools.cache
+def _chosen(*asked: str | None) -> str:
+    """Of equal wishes once: it looks for libraries, and a run asks for the name of each of its replicates."""
+    return backend.choose().variant
 
 
 def _render(
