@@ -22,7 +22,8 @@ def write_exr(path: Path, parts: dict[str, np.ndarray], header: dict[str, str]) 
 
     def write(temporary: Path) -> None:
         try:
-            file.write(str(temporary))
+            with openexr.every_core():
+                file.write(str(temporary))
         except RuntimeError:  # OpenEXR's word for a full disk, with the temporary name in it
             raise OSError(errno.EIO, "could not be written: is the disk full?", str(path)) from None
 

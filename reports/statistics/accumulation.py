@@ -16,6 +16,7 @@ from typing import Any
 import attrs
 import numpy as np
 import scipy
+from threadpoolctl import threadpool_limits
 
 from termwise.reports.statistics.jackknife import Estimate, Gram, inner_products
 from termwise.reports.statistics.replicates import (
@@ -193,7 +194,8 @@ def measure(
     called = labels("ours", count, names) + labels("reference", len(reference), reference_names)
     sums = _Sums(sizes, ours.shape[1:3], objects, mask, float(np.hypot(*quantum)))
     equality, invalid = Equality(sum(sizes)), Invalid(called, count, allow_negative)
-    with _mapping(ours.shape[2] > _PART) as in_order:
+    # A BLAS that divides products this small among threads takes twice as long; parts are divided here.
+    with threadpool_limits(1, "blas"), _mapping(ours.shape[2] > _PART) as in_order:
         for top, band in bands(ours, reference):
             if mask is not None:
                 band[:, ~mask[top : top + band.shape[1]]] = 0.0

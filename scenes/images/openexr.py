@@ -182,7 +182,7 @@ def _stored(path: Path, headers: list[dict[str, Any]], layers: list[_Layer]) -> 
                 "would be interpolated: write R, G and B of all pixels"
             )
     try:
-        with _silent():
+        with _silent(), every_core():
             stored = _planes_of_one(path, layers) if len(headers) == 1 else _planes_of_several(path, layers)
     except Exception as error:  # as above
         why = f"its pixels cannot be decoded ({_said(error)})"
@@ -293,6 +293,17 @@ def write(path: Path, pixels: np.ndarray) -> None:
         OpenEXR.File(described, {"RGB": np.ascontiguousarray(pixels, np.float32)}).write(str(path))
     except RuntimeError:  # the library's word for a full disk
         raise OSError(errno.EIO, "could not be written: is the disk full?", str(path)) from None
+
+
+@contextlib.contextmanager
+def every_core() -> Iterator[None]:
+    """With as many of the library's threads as there are cores; none is left, so that a process can be forked."""
+    before = OpenEXR.global_thread_count()
+    OpenEXR.set_global_thread_count(os.cpu_count() or 1)
+    try:
+        yield
+    finally:
+        OpenEXR.set_global_thread_count(before)
 
 
 @contextlib.contextmanager
