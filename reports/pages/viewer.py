@@ -58,7 +58,8 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
     Returns
     -------
     `terms`: for each the variants, each with its image's key and, by name, the references' keys; `scales`: the ends ±q
-    of the maps, of luminance and of a channel, by term and reference, shared by its variants, q the quantile of the static pictures.
+    of the maps, of luminance and of a channel, by term and reference, shared by its variants, q the quantile of the
+    static pictures.
     """
     dataset = scene.dataset(run)
     if not dataset.sizes["cell"]:

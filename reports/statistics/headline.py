@@ -140,11 +140,16 @@ def _apart(verdict: Verdict, statistics: Statistics) -> tuple[float, float] | No
 
 
 def _cancels(statistics: Statistics) -> bool:
-    """Whether what is too bright makes up for what is too dark, so that the mean says little of the error."""
-    tiles = _tiles(statistics)
+    """Whether what is too bright makes up for what is too dark, so that the mean says little of the error.
+
+    In luminance, or in the channel that is off by more.
+    """
+    tiles = statistics.tiles[PLACE_SIDE]
     # Twice as far as noise: of many tiles some are seen by chance, either way.
-    seen = (tiles.ours - tiles.reference)[np.abs(tiles.bias) > 2 * _SEEN * tiles.standard_error]
-    return bool(np.abs(seen.sum()) < _CANCELLED * np.abs(seen).sum())
+    far = np.abs(tiles.bias) > 2 * _SEEN * tiles.standard_error
+    seen = np.where(far, tiles.ours - tiles.reference, 0.0).reshape(4, -1)
+    most = np.argmax(np.abs(seen).sum(axis=1))
+    return bool(np.abs(seen[most].sum()) < _CANCELLED * np.abs(seen[most]).sum())
 
 
 def _outside(low: float | None, high: float | None, limit: float) -> bool:

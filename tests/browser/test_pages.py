@@ -308,14 +308,25 @@ def test_split_shows_ours_and_the_reference(view, run):
     assert np.abs(shown[:, half + 1 :] - encoded(parts["reference.ambient"])[:, half + 1 :]).max() <= 0.51
 
 
-@pytest.mark.parametrize("map_", ["signed", "relative", "deviations"])
-def test_maps_are_blue_where_ours_is_darker_and_red_where_brighter(view, run, map_):
+@pytest.mark.parametrize(
+    ("map_", "channel"),
+    [("signed", None), ("relative", None), ("deviations", None), ("signed", "green"), ("deviations", "blue")],
+)
+def test_maps_are_blue_where_ours_is_darker_and_red_where_brighter(view, run, map_, channel):
     page = view(f"#term=direct&beside={map_}")
+    if channel:
+        page.locator("#channel").select_option(channel)
+        ready(page)
+        assert f"channel={channel}" in page.url
+        assert channel in page.locator("#right + figcaption").inner_text()
     parts = read_exr(run / "images" / f"{SCENE}.exr")
     apart = parts["direct.next-event"].astype(float) - parts["reference.direct all"]
     if map_ == "deviations":
         with xarray.open_dataset(run / "results.nc", group=SCENE, engine="h5netcdf") as data:
             apart /= np.sqrt(data["image_variance"].values[2] + data["reference_variance"].values[3])
+    if channel:
+        apart = apart[..., ["red", "green", "blue"].index(channel)]
+    elif map_ == "deviations":
         greatest = np.abs(apart).argmax(axis=-1, keepdims=True)
         apart = np.take_along_axis(apart, greatest, axis=-1)[..., 0]
     else:

@@ -68,7 +68,7 @@ def hinted(judgement: "termwise.reports.judging.judge.Judgement") -> str:
         (lambda image: np.roll(image, (-1, 2), (0, 1)), "ours is shifted by 2 px to the left, 1 px down"),
         (lambda image: np.minimum(image, 0.9), "the reference is clamped at 0.9"),
         (lambda image: np.pi * image[::-1], "ours is flipped upside down and divided by π"),
-        (lambda image: image[::-1, :, ::-1], "ours is flipped upside down and the channels of ours are taken in the order BGR"),
+        (lambda image: image[::-1, :, ::-1], "ours is flipped upside down and the channels of ours are taken in the"),
         (lambda image: np.pi * np.roll(image, -2, 1), "ours is shifted by 2 px to the right and divided by π"),
         (
             lambda image: srgb.encoded(image)[:, ::-1, ::-1],
@@ -177,6 +177,7 @@ def test_hints_within_a_mask(draw: Draw):
         (PICTURE * np.array([1.1, 0.9, 1.0]), "wrong colours: red 10 % too bright, green 10 % too dark"),
         (PICTURE * np.array([1.0, 1.0, 1.05]), "blue 5 % too bright"),
         (PICTURE[::-1], "misplaced"),
+        (PICTURE + np.where(X < 0.5, 0.1, -0.1)[..., None] * np.array([1.0, -0.2973, 0.0]), "misplaced by "),
         (0.995 * np.roll(PICTURE, 3, 0), "misplaced by "),
         (np.where(((X < 0.3) & (Y < 0.3))[..., None], 1.3, 1.0) * PICTURE, "most of all at tile x 0-15, y 0-15"),
         (np.where(((X < 0.3) & (Y < 0.3))[..., None], 1.04, 1.0) * PICTURE, "too bright"),
