@@ -119,10 +119,16 @@ def counted_once(objects: tuple[Any, ...], position: tuple[float, ...]) -> tuple
     looks = [thing.surface for thing in objects]
     number = np.array([looks.index(look) for look in looks])
     emits = np.array([thing.emits for thing in objects], np.bool_)
+    refracts = np.array([look.transparency > 0.0 for look in looks], np.bool_)
     unlike = number[of_first] != number[of_second]
     turned = ~_shaded_alike(meshes, faces, first, second)
     bad = np.flatnonzero(
-        unlike | emits[of_first] | emits[of_second] | turned | ~_mapped_alike(objects, faces, first, second)
+        unlike
+        | emits[of_first]
+        | emits[of_second]
+        | refracts[of_first]
+        | turned
+        | ~_mapped_alike(objects, faces, first, second)
     )
     if len(bad):
         one, other = objects[of_first[bad[0]]], objects[of_second[bad[0]]]
@@ -131,10 +137,12 @@ def counted_once(objects: tuple[Any, ...], position: tuple[float, ...]) -> tuple
         place = ", ".join(f"{x:.4g}" for x in faces.corners[small[bad[0]]].mean(axis=0))
         why = "differ in their shading normals" if turned[bad[0]] else "differ in where their image lies"
         why = "differ in material" if unlike[bad[0]] else why
+        why = "are transparent" if refracts[of_first[bad[0]]] and not unlike[bad[0]] else why
         why = "give light" if one.emits or other.emits else why
+        alike = "" if refracts[of_first[bad[0]]] else "equal looks, "
         raise ValueError(
             f"objects: {names} in one plane, one over the other, near ({place}), and {why}, so that there is no answer "
-            "which of them is seen: allowed are one of the two, equal looks, or a gap between them"
+            f"which of them is seen: allowed are one of the two, {alike}or a gap between them"
         )
     return _without(objects, faces, first, second)
 
@@ -145,7 +153,7 @@ def _sealed(objects: Sequence[Any], faces: Faces, pairs: np.ndarray, eye: np.nda
     normals = faces.normals[pairs[:, 0]]
     solid = np.zeros(len(objects))
     for owner in np.unique(faces.owner[pairs]):
-        if objects[owner].surface.translucency == 0.0:
+        if objects[owner].surface.translucency == 0.0 and objects[owner].surface.transparency == 0.0:
             solid[owner] = _solid(objects[owner].mesh, eye)
     for face in pairs.T:
         side = -solid[faces.owner[face]] * np.sign(np.einsum("nx,nx->n", faces.normals[face], normals))

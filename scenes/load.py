@@ -133,6 +133,10 @@ class _Placed:
     roughness: float | _Image = cast(float, model.Material().roughness)
     f0: model.Color = model.Material().f0
     translucency: float = model.Material().translucency
+    transparency: float = model.Material().transparency
+    ior: float = model.Material().ior
+    tint: model.Color = model.Material().tint
+    fresnel: Literal["schlick", "dielectric"] | None = None
     emission: model.Color = attrs.field(default=model.BLACK, validator=model.non_negative)
 
     def __attrs_post_init__(self) -> None:

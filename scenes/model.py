@@ -139,12 +139,21 @@ def least(value: Any) -> Any:
     return value.low if value.channels > 1 else value.low[0]
 
 
+def _fresnel(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
+    if value not in (None, "schlick", "dielectric"):
+        _refuse(attribute, value, "'schlick' or 'dielectric'")
+
+
 @attrs.frozen
 class Material:
-    """Diffuse `color * (1 - gloss)` under a Cook-Torrance lobe weighted by `gloss`.
+    """Diffuse `color (1 - gloss) (1 - transparency)` under a Cook-Torrance lobe of weight `gloss`.
 
     Of the diffuse light `translucency` crosses the surface and the rest stays on the side that it came from:
-    `color (1 - gloss) ((1 - s) E(n) + s E(-n)) / pi`, n on the viewer's side. The lobe lets nothing through.
+    `color (1 - gloss) (1 - t) ((1 - s) E(n) + s E(-n)) / pi`, n on the viewer's side.
+
+    What the microfacets of a transparent surface do not reflect goes through, refracted (Walter et al., EGSR 2007),
+    with the weight `transparency tint`; they reflect with the weight `gloss`. Outside is where the normal points to. The
+    weights make no energy: `g F + t (1 - F) + color (1 - g) (1 - t) <= 1` for all F.
 
     Attributes
     ----------
@@ -153,8 +162,14 @@ class Material:
     roughness : Beckmann alpha, in [1e-4, 1.5].
     f0 : Schlick's reflectance at normal incidence, in [0, 1] per channel.
     translucency : share s of the diffuse light that leaves on the other side, in [0, 1].
+    transparency : share t of the light that goes through, of what is not reflected, in [0, 1].
+    ior : index of refraction, inside over outside, in [0.1, 10].
+    tint : share of the light left at every passage through the surface, in [0, 1] per channel.
+    fresnel : "schlick", F of `f0`, or "dielectric", F of `ior`: exact, unpolarised, total reflection included. None is
+        "dielectric" of what is transparent, which can be nothing else, and "schlick" of what is not. Both sides of an
+        opaque surface are its outside.
 
-    Color, gloss and roughness may be a `Texture`, of 3 channels, 1 and 1.
+    Color, gloss and roughness may be a `Texture`, of 3 channels, 1 and 1, of an opaque surface.
     """
 
     color: Color | Texture = attrs.field(
@@ -166,6 +181,24 @@ class Material:
     )
     f0: Color = attrs.field(converter=_triple, default=(0.04, 0.04, 0.04), validator=unit_interval)
     translucency: float = attrs.field(converter=_number, default=0.0, validator=unit_interval)
+    transparency: float = attrs.field(converter=_number, default=0.0, validator=unit_interval)
+    ior: float = attrs.field(converter=_number, default=1.5, validator=in_range(0.1, 10.0))
+    tint: Color = attrs.field(converter=_triple, default=(1.0, 1.0, 1.0), validator=unit_interval)
+    fresnel: Literal["schlick", "dielectric"] | None = attrs.field(default=None, validator=_fresnel)
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse what a transparent surface cannot have."""
+        if self.transparency == 0.0:
+            return
+        if self.fresnel == "schlick":
+            raise ValueError(f"fresnel = 'schlick': allowed is 'dielectric' with transparency = {self.transparency!r}")
+        for name in self.textures:
+            raise ValueError(f"{name}: is an image: allowed is none with transparency = {self.transparency!r}")
+
+    @property
+    def dielectric(self) -> bool:
+        """Whether its microfacets reflect as those of a dielectric do."""
+        return self.transparency > 0.0 if self.fresnel is None else self.fresnel == "dielectric"
 
     @property
     def textures(self) -> dict[str, Texture]:
@@ -281,7 +314,12 @@ class Object:
     emission: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
 
     def __attrs_post_init__(self) -> None:
-        """Refuse an image that nothing says how to lay on the surface."""
+        """Refuse a transparent lamp, and an image that nothing says how to lay on the surface."""
+        if self.emits and self.material.transparency > 0.0:
+            raise ValueError(
+                f"{self.name!r}: transparency = {self.material.transparency!r}: allowed is 0 with emission = "
+                f"{self.emission!r}: the surface of a lamp is black"
+            )
         for name in self.surface.textures:
             if self.mesh.uv is None:
                 raise ValueError(
@@ -598,12 +636,21 @@ class Toggles:
     """The paper's switches.
 
     ambient_occlusion off: the ambient light is L_a0 everywhere. lighting off: no direct term. reflections off: no
-    specular term, and the diffuse weight is `color` without (1 - gloss), as the paper's code has it.
+    specular term, and the diffuse weight is without (1 - gloss), as the paper's code has it; what is transparent stays
+    so.
     """
 
     ambient_occlusion: bool = True
     lighting: bool = True
     reflections: bool = True
+
+
+_OPAQUE_RULES = (
+    ("normals", "face", "for which no side is the viewer's"),
+    ("ignore", "object", "whose rays never leave what they have entered"),
+    ("shadows", "paper", "by which what is inside of a surface sees no light"),
+)
+"""Choices of a scene that a transparent surface has none of: field, value, and why."""
 
 
 @attrs.frozen(eq=False, repr=False)
@@ -623,7 +670,8 @@ class Scene:
       concave objects their own shadows and occlusion.
     - `normals`: a surface is shaded about the normal of the "viewer"'s side, or about the one that its "face" has,
       whichever side is seen: from behind, ambient and direct are those of the front, and the specular lobe is 0 (its
-      masking is, where the view is below the surface). Photons, smooth meshes and translucency need the former.
+      masking is, where the view is below the surface). Photons, smooth meshes, translucency and transparency need the
+      former.
     - `intersection`: "watertight", or "paper": a test of angles with absolute epsilons of 1e-5 against every face.
 
     `substitutions` says of a scene that was read from another renderer's file what stands for what the model cannot
@@ -674,6 +722,13 @@ class Scene:
                         f"objects: {thing.name!r}: translucency = {thing.material.translucency!r}: allowed is 0 where "
                         "the scene has normals = 'face', for which no side is the viewer's"
                     )
+        for name, rule, why in _OPAQUE_RULES:
+            if getattr(self, name) == rule and self.transparent:
+                thing = self.transparent[0]
+                raise ValueError(
+                    f"objects: {thing.name!r}: transparency = {thing.material.transparency!r}: allowed is 0 where the "
+                    f"scene has {name} = {rule!r}, {why}"
+                )
         if self.shadows == "paper":
             for number, light in enumerate(self.lights):
                 if light.centre is None:
@@ -710,17 +765,28 @@ class Scene:
         return self.resolution[0] / self.resolution[1]
 
     def diffuse_weight(self, material: Material) -> Color:
-        """`color * (1 - gloss)`; `color` alone where reflections are off (paper's code).
+        """`color (1 - gloss) (1 - transparency)`; without the gloss where reflections are off (paper's code).
 
         Of an image the largest that any texel has: `renderer.material` and `reference.translate` look it up.
         """
         share = 1.0 - least(material.gloss) if self.toggles.reflections else 1.0
+        share *= 1.0 - material.transparency
         red, green, blue = largest(material.color)
         return red * share, green * share, blue * share
 
     def specular_weight(self, material: Material) -> float:
         """Gloss, of an image the largest; 0 where reflections are off."""
         return largest(material.gloss) if self.toggles.reflections else 0.0
+
+    def transmission_weight(self, material: Material) -> Color:
+        """`transparency tint`, whether reflections are on or off."""
+        red, green, blue = material.tint
+        return red * material.transparency, green * material.transparency, blue * material.transparency
+
+    @property
+    def transparent(self) -> tuple[Object, ...]:
+        """The objects that light is refracted into, whether their tint leaves any of it or not."""
+        return tuple(thing for thing in self.objects if thing.surface.transparency > 0.0)
 
     @property
     def translucent(self) -> tuple[Object, ...]:

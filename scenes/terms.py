@@ -1,7 +1,7 @@
-"""The terms of `L_o = L_ambient + L_direct + L_specular (+ L_background)`, a row each, and the estimate of one.
+"""The terms of `L_o = L_ambient + L_direct + L_specular + L_transmission (+ L_background)`, and the estimate of one.
 
-`total = ((ambient + direct) + specular) + background`, added in the order of the rows, bit for bit. A new term is a
-row here and a file a side, `renderer/terms/<name>.py` and `reference/terms/<name>.py`.
+`total = (((ambient + direct) + specular) + transmission) + background`, added in the order of the rows, bit for bit. A
+new term is a row here and a file a side, `renderer/terms/<name>.py` and `reference/terms/<name>.py`.
 """
 
 import base64
@@ -91,9 +91,21 @@ def _specular(scene: Scene, material: Material) -> Color:
     return gloss, gloss, gloss
 
 
+def _transmission(scene: Scene, material: Material) -> Color:
+    return scene.transmission_weight(material)
+
+
+def _dielectric(scene: Scene) -> bool:
+    return any(thing.surface.dielectric for thing in scene.objects)
+
+
 def _beyond(scene: Scene) -> Color | None:
     """What is seen beside all objects, where that is one colour."""
     return None if scene.drawn_suns else scene.sky.one_color
+
+
+def _scatters_fully(scene: Scene) -> bool:
+    return scene.photons.scattering == "full"
 
 
 def _by_lights(scene: Scene) -> bool:
@@ -107,6 +119,7 @@ _DIFFUSE = read(
     "objects.material.color",
     "objects.material.gloss",
     "objects.material.translucency",
+    "objects.material.transparency",
     "toggles.reflections",
     of=lambda scene: tuple(
         (_diffuse_part(scene, thing.surface), thing.surface.translucency) for thing in scene.objects
@@ -118,6 +131,13 @@ _MATERIAL = (
     "objects.material.roughness",
     "objects.material.f0",
     "toggles.reflections",
+)
+# Of all surfaces as soon as one has a dielectric's lobe: they share a kernel.
+_DIELECTRIC = (
+    "objects.material.fresnel",
+    "objects.material.ior",
+    "objects.material.tint",
+    "objects.material.transparency",
 )
 # Center and radius of a sphere are in every key, as meshes are: its black surface hides things from all terms.
 _LIGHTS = (
@@ -176,7 +196,8 @@ TABLE: dict[Term, TermRow] = {
                 read(*_LIGHTS, *PHOTONS, "scope", "irradiance"),
                 _RULES,
                 _DIFFUSE,
-                read(*_MATERIAL, when=lambda scene: scene.photons.scattering == "full"),
+                read(*_MATERIAL, when=_scatters_fully),
+                read(*_DIELECTRIC, when=lambda scene: _scatters_fully(scene) and _dielectric(scene)),
             ),
             scoped=True,
             limit=("scope", "kernel", "shadows"),
@@ -189,11 +210,26 @@ TABLE: dict[Term, TermRow] = {
                 (_without(scene, _specular), "no surface has gloss > 0"),
                 (scene.max_bounces == 0, "max_bounces is 0"),
             ),
-            reads=(read(*_MATERIAL, "max_bounces"), _SKY),
+            reads=(read(*_MATERIAL, "max_bounces"), read(*_DIELECTRIC, when=_dielectric), _SKY),
             scoped=True,
+            # And transmission, where the scene has it: chains that begin with one of the two go on with both.
             meets=("ambient", "direct"),
             sky=True,
             limit=("occluded", "scope", "lobe", "diffuse", "cosine", "ambient", "rings", "kernel", "shadows"),
+        ),
+        TermRow(
+            "transmission",
+            weight=_transmission,
+            absent=lambda scene: first(
+                (not scene.transparent, "no surface has transparency > 0"),
+                (_without(scene, _transmission), "every tint of a transparent surface is black"),
+                (scene.max_bounces == 0, "max_bounces is 0"),
+            ),
+            reads=(read(*_MATERIAL, *_DIELECTRIC, "max_bounces"), _SKY),
+            scoped=True,
+            meets=("ambient", "direct", "specular"),
+            sky=True,
+            limit=("occluded", "scope", "ambient", "kernel"),
         ),
         TermRow(
             "background",
@@ -229,9 +265,10 @@ def named() -> frozenset[str]:
 def content(scene: Scene, term: Term, *, without: Collection[str] = ()) -> str:
     """sha256 of what a term's image depends on in a scene: where it is equal, so is every byte of the image.
 
-    `without` names fields that an estimate of it does not read.
+    An absent term reads nothing: its image is black. `without` names fields that an estimate of it does not read.
     """
-    here = [each for each in reads_of(term) if each.when(scene)]
+    absent = TABLE[term].absent(scene) is not None
+    here = [] if absent else [each for each in reads_of(term) if each.when(scene)]
     whole = {field for each in here if each.of is None for field in each.fields}
     return reads.digest(scene, without=(named() - whole) | set(without), seen=here)
 

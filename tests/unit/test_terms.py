@@ -167,6 +167,7 @@ def test_what_is_in_every_key(scene: Scene, record_property):
 
 PAPER = {"shadows": "paper"}
 FULL = {"photons.scattering": "full"}
+GLASS = {"objects.material.transparency": 0.75}
 DRAWN = {"draw_lights": True}
 # A change, the scene that it is made to, and the terms that it touches: on our side, and on Mitsuba's where that
 # differs.
@@ -177,7 +178,15 @@ TOUCHED = [
     ("objects.material.color", (0.1, 0.1, 0.1), {}, "ambient direct specular", None),
     ("objects.material.gloss", 0.9, {}, "ambient direct specular", None),
     ("objects.material.translucency", 0.5, {}, "ambient direct specular", None),
+    ("objects.material.transparency", 0.5, {}, "ambient direct specular transmission", None),
+    ("objects.material.transparency", 0.5, GLASS, "ambient direct specular transmission", None),
+    ("objects.material.ior", 1.3, {}, "", None),
+    ("objects.material.ior", 1.3, GLASS, "specular transmission", None),
+    ("objects.material.ior", 1.3, GLASS | FULL, "direct specular transmission", None),
+    ("objects.material.tint", (0.5, 0.5, 0.5), GLASS, "specular transmission", None),
+    ("objects.material.fresnel", "dielectric", {}, "specular", None),
     ("lights.intensity", (2.0, 2.0, 2.0), {}, "direct specular", None),
+    ("lights.intensity", (2.0, 2.0, 2.0), GLASS, "direct specular transmission", None),
     ("lights.intensity", (2.0, 2.0, 2.0), DRAWN, "direct specular background", None),
     ("lights.position", (9.0, 2.0, 2.0), {}, "direct specular", None),
     ("lights.position", (9.0, 2.0, 2.0), PAPER, "ambient direct specular", "direct specular"),
@@ -259,7 +268,7 @@ def test_an_unknown_term_has_no_rule(scene: Scene):
 
 def test_the_sum_is_a_left_fold_in_the_order_of_the_table():
     a, b, c, d, *others = np.random.default_rng(1).normal(size=(len(TERMS), 1000))
-    assert TERMS[:4] == ("ambient", "direct", "specular", "background")
+    assert TERMS == ("ambient", "direct", "specular", "transmission", "background")
     whole = ((a + b) + c) + d
     for each in others:
         whole = whole + each
