@@ -43,7 +43,8 @@ _TINY = 1e-4
 _WHOLE = ("path", "volpath", "volpathmis", "ptracer", "prb", "prb_basic", "prb_projective", "prbvolpath")
 """Integrators of all light transport, where nothing limits them."""
 _MESHES = ("obj", "ply", "serialized", "cube")
-_DIELECTRICS = ("plastic", "roughplastic", "pplastic")
+_COATED = ("plastic", "roughplastic", "pplastic")
+_GLASS = ("dielectric", "roughdielectric")
 _CONDUCTORS = ("conductor", "roughconductor")
 
 
@@ -299,7 +300,12 @@ def _surface(mi: Any, found: Import, name: str, node: _Node, made: Any) -> Mater
     name = f"{name}: bsdf {node.name}" if node.name != node.plugin else name
     if (leaf := _leaf(mi, node, made, "")) is not None:
         return leaf
+    if node.plugin in _GLASS:
+        return _glass(mi, found, name, node, made, "")
     kinds = [child.plugin for child in node.of("BSDF")]
+    if node.plugin == "blendbsdf" and kinds[1] in _GLASS:
+        first, second = node.of("BSDF")
+        return _over_diffuse(mi, found, name, first, _glass(mi, found, name, second, made, "bsdf_1."), made)
     if node.plugin == "blendbsdf" and kinds == ["blendbsdf", "twosided"]:
         first, second = node.of("BSDF")
         if (leaf := _leaf(mi, first, made, "bsdf_0.")) is not None:
@@ -322,6 +328,69 @@ def _surface(mi: Any, found: Import, name: str, node: _Node, made: Any) -> Mater
     if sides == 1:
         found.instead(name, f"{inner.plugin} on one side", "the same on both sides")
     return material
+
+
+def _over_diffuse(mi: Any, found: Import, name: str, node: _Node, glass: Material, made: Any) -> Material:
+    """The material of the blend `made` of a diffuse surface of two sides, `node`, and glass.
+
+    Those of ours are g, t and (1 - g) (1 - t), of the diffuse part by its colour.
+    """
+    parameters = mi.traverse(made)
+    leaf = _leaf(mi, node, made, "bsdf_0.")
+    color = parameters.get("bsdf_0.brdf_0.reflectance.value") if node.plugin == "twosided" else None
+    share = parameters.get("weight.value")
+    if (color is None and leaf is None) or share is None:
+        raise found.refuse(name, f"a blend of {node.plugin} and glass")
+    share = _color(share)[0]
+    gloss, transparency = share * glass.gloss, share * glass.transparency
+    left = (1.0 - gloss) * (1.0 - transparency)
+    shown = np.array(leaf.color if leaf is not None else _color(color)) * ((1.0 - share) / left if left else 0.0)
+    if (shown > 1.0 + _TINY).any():
+        raise found.refuse(name, "a blend with glass in which the diffuse part is brighter than white")
+    return attrs.evolve(
+        glass,
+        color=tuple(np.clip(shown, 0.0, 1.0).tolist()),
+        translucency=0.0 if leaf is None else leaf.translucency,
+        gloss=gloss,
+        transparency=transparency,
+    )
+
+
+def _glass(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: str) -> Material:
+    """The material of what Mitsuba lets light through by a rough or a smooth face between two media.
+
+    `prefix` leads to the parameters of the node from those of the BSDF `made`.
+    """
+    every = mi.traverse(made)
+    parameters = {key.removeprefix(prefix): every[key] for key in every.keys() if key.startswith(prefix)}
+    rough = node.plugin == "roughdielectric"
+    for feature in ("specular_reflectance", "specular_transmittance", "alpha"):
+        if (texture := node.textured(feature)) is not None:
+            raise found.refuse(name, f"{texture}, a texture of {feature} of {node.plugin}")
+    if {"alpha_u", "alpha_v"} & set(node.properties):
+        raise found.refuse(name, "alpha_u and alpha_v of roughdielectric")
+    kind = node.properties.get("distribution", "beckmann") if rough else "smooth"
+    like = f"roughness {MIRROR:g}" if not rough else "Beckmann's of the same alpha, Smith's masking exact"
+    found.instead(name, f"{node.plugin} ({kind})", like)
+    colors = [
+        np.array(_color(parameters[key])) if (key := f"{feature}.value") in parameters else np.ones(3)
+        for feature in ("specular_reflectance", "specular_transmittance")
+    ]
+    gloss, transparency = (float(each.max()) for each in colors)
+    if np.ptp(colors[0]) > 0.0:
+        found.instead(name, "specular_reflectance of a colour", "its largest channel")
+    alpha = _color(parameters["alpha"])[0] if rough else MIRROR
+    tint = _color(colors[1] / transparency) if transparency > 0.0 else (1.0, 1.0, 1.0)
+    ior = _color(parameters["eta"])[0]
+    return Material(
+        BLACK,
+        gloss,
+        float(np.clip(alpha, MIRROR, 1.5)),
+        transparency=transparency,
+        ior=ior,
+        tint=tint,
+        fresnel="dielectric",
+    )
 
 
 def _leaf(mi: Any, node: _Node, made: Any, prefix: str) -> Material | None:
@@ -371,7 +440,7 @@ def _glossy(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: s
         kind = node.properties.get("distribution", "beckmann") if rough else "a mirror"
         found.instead(name, f"{node.plugin} ({kind})", "Beckmann's lobe with Schlick's reflectance of the same f0")
         return Material(BLACK, 1.0, float(np.clip(alpha, MIRROR, 1.5)), _color(np.clip(f0, 0.0, 1.0)))
-    if node.plugin in _DIELECTRICS:
+    if node.plugin in _COATED:
         index = value("eta", width=1)
         alpha = MIRROR if node.plugin == "plastic" else value("alpha", width=1)
         found.instead(name, node.plugin, "a lobe over a diffuse base, equal at normal incidence")

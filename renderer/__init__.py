@@ -38,7 +38,7 @@ def render(
     Parameters
     ----------
     scene : a scene, the name of one of the library, or the path of a scene file.
-    term : one of `scenes.terms.TERMS`: "ambient", "direct", "specular" or "background".
+    term : one of `scenes.terms.TERMS`: "ambient", "direct", "specular", "transmission" or "background".
     variant : the estimator; the term's default without a name.
     samples : samples per pixel and replicate; powers of two keep the points well spread.
     replicates : independent repetitions; 2 or more give a variance, and `judge` takes 4 or more.

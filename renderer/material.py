@@ -1,6 +1,6 @@
-"""What a surface does to light, the weights of `color (1 - gloss) / pi + gloss f`, where a ray has met it.
+"""What a surface does to light where a ray meets it, the weights of `color (1 - g) (1 - t) / pi + g f_r + t tint f_t`.
 
-Of the diffuse part w = color (1 - gloss) the share s, the translucency, is of the other side:
+Of the diffuse part w = color (1 - g) (1 - t) the share s, the translucency, is of the other side:
 `w ((1 - s) L(n) + s L(-n))`, L any term about a normal, n on the viewer's side. Samples choose a side with its share;
 what has no number to choose by, or sees both sides for the price of one, adds them.
 
@@ -17,16 +17,35 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from termwise.renderer import textures
+from termwise.renderer.dielectric import REFLECTED, REFRACTED, Interface
 from termwise.renderer.jit import device
 from termwise.renderer.textures import Textures, color_at, number_at
+from termwise.renderer.triangles import shading_normal
 from termwise.renderer.unoccluded import open_sides
-from termwise.renderer.vector import Vec3, is_black, negate, scale, vec3
+from termwise.renderer.vector import Vec3, dot, is_black, negate, scale, vec3
 from termwise.renderer.warp import square_to_cosine_hemisphere
 from termwise.scenes.model import Scene, largest
 
 if TYPE_CHECKING:  # they hold what is defined here
     from termwise.renderer.arrays import SceneArrays
     from termwise.renderer.surface import Surface
+
+
+class Dielectrics(NamedTuple):
+    """The surfaces of each object that reflect, and let through, as dielectrics do.
+
+    Attributes
+    ----------
+    here : (O,) bool, which they are.
+    ior : (O,), inside over outside.
+    opaque : (O,) bool, whether they let nothing through: both sides are then outside.
+    transmission : (O, 3), transparency times tint.
+    """
+
+    here: np.ndarray
+    ior: np.ndarray
+    opaque: np.ndarray
+    transmission: np.ndarray
 
 
 class Materials(NamedTuple):
@@ -37,7 +56,7 @@ class Materials(NamedTuple):
     Attributes
     ----------
     color : (O, 3).
-    diffuse : (O, 3), color (1 - gloss).
+    diffuse : (O, 3), color (1 - gloss) (1 - transparency).
     specular : (O,), gloss.
     alpha : (O,), Beckmann roughness.
     f0 : (O, 3), Schlick's reflectance at normal incidence.
@@ -46,6 +65,7 @@ class Materials(NamedTuple):
     textures : the images, or None of a scene that has none: its kernels are compiled without.
     translucency : (O,), share of the diffuse part that crosses; None of a scene that has no such object, whose kernels
         are compiled without.
+    dielectrics : None of a scene that has none; so are its kernels.
     """
 
     color: np.ndarray
@@ -57,6 +77,7 @@ class Materials(NamedTuple):
     open: np.ndarray
     textures: Textures | None
     translucency: np.ndarray | None
+    dielectrics: Dielectrics | None
 
 
 _BELOW_ONE = 1.0 - 2.0**-53
@@ -77,6 +98,19 @@ def from_scene(scene: Scene, without: Collection[str]) -> Materials:
         _open(scene, without),
         textures.from_scene(scene),
         np.array([surface.translucency for surface in surfaces]) if scene.translucent else None,
+        _dielectrics(scene),
+    )
+
+
+def _dielectrics(scene: Scene) -> Dielectrics | None:
+    surfaces = scene.surfaces
+    if not any(surface.dielectric for surface in surfaces):
+        return None
+    return Dielectrics(
+        np.array([surface.dielectric for surface in surfaces]),
+        np.array([surface.ior for surface in surfaces]),
+        np.array([surface.transparency == 0.0 for surface in surfaces]),
+        np.array([scene.transmission_weight(surface) for surface in surfaces]),
     )
 
 
@@ -153,6 +187,27 @@ def _alpha(materials: Materials, images: Textures | None, surface: Surface) -> f
 def lobe_f0(scene: SceneArrays, surface: Surface) -> Vec3:
     """Reflectance of the lobe's microfacets at normal incidence."""
     return vec3(scene.materials.f0, surface.object)
+
+
+@device
+def chain_ends(dielectrics: Dielectrics | None, way: int, gloss: float, surface: Surface) -> bool:
+    """Whether a surface has none of the lobes that a chain may go on with, which `way` says (see `dielectric`)."""
+    if dielectrics is not None and way != REFLECTED:
+        opaque = dielectrics.opaque[surface.object]
+        return opaque and (gloss == 0.0 or way == REFRACTED)
+    return gloss == 0.0
+
+
+@device
+def interface(scene: SceneArrays, dielectrics: Dielectrics, gloss: float, surface: Surface) -> Interface:
+    """The lobes of a dielectric's surface, from the side that it is seen from."""
+    thing = surface.object
+    eta = dielectrics.ior[thing]
+    if not dielectrics.opaque[thing]:
+        outwards = shading_normal(scene.geometry, surface.face, surface.b1, surface.b2)
+        if dot(outwards, surface.normal) < 0.0:
+            eta = 1.0 / eta
+    return Interface(lobe_alpha(scene, surface), eta, gloss, vec3(dielectrics.transmission, thing))
 
 
 @device

@@ -63,13 +63,18 @@ def half_vector(wi: Vec3, wo: Vec3) -> Vec3:
 
 
 @device
+def eval_dg(m: Vec3, wi: Vec3, wo: Vec3, alpha: float) -> float:
+    """D G, of microfacets that both directions see from their front."""
+    return beckmann_d(m, alpha) * smith_g1(wi.z, alpha) * smith_g1(wo.z, alpha)
+
+
+@device
 def eval_dfg(wi: Vec3, wo: Vec3, alpha: float, f0: Vec3) -> Vec3:
     """D F G, the numerator of every form of the model in the paper; 0 below the surface."""
     if wi.z <= 0.0 or wo.z <= 0.0:
         return Vec3(0.0, 0.0, 0.0)
     m = half_vector(wi, wo)
-    dg = beckmann_d(m, alpha) * smith_g1(wi.z, alpha) * smith_g1(wo.z, alpha)
-    return scale(fresnel_schlick(f0, dot(wo, m)), dg)
+    return scale(fresnel_schlick(f0, dot(wo, m)), eval_dg(m, wi, wo, alpha))
 
 
 @device

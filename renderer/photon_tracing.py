@@ -2,8 +2,9 @@
 
 A photon starts with what its light sends (`4 pi I` of a point, `pi A L` of a face, see `renderer.lights`) over the
 probability of the pick and goes on by Russian roulette of probability P. Diffuse scattering has the weight
-`f cos(theta) / p = albedo = color (1 - gloss)`, and leaves a translucent surface on either side; with full scattering
-the Cook-Torrance lobe is picked besides, in proportion to its gloss, and sampled by visible normals.
+`f cos(theta) / p = albedo = color (1 - gloss) (1 - t)`, and leaves a translucent surface on either side; with full
+scattering the specular lobes are picked besides, in proportion to the larger of gloss and transparency, and sampled by
+visible normals. A photon is flux, and keeps all of it where it is refracted, as radiance does not.
 
 Weighted photons carry the mean flux of light transport for any P. Unweighted ones keep the flux that they had, which
 scatters light with the grey albedo P: `rho / (1 - rho)` becomes `P / (1 - P)` (paper).
@@ -19,10 +20,20 @@ from typing import NamedTuple
 import numpy as np
 
 from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays
+from termwise.renderer.dielectric import EITHER, sample_interface
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights import emit_photon
-from termwise.renderer.material import diffuse_weight, holds_photons, lobe_alpha, lobe_f0, scattered, specular_weight
+from termwise.renderer.material import (
+    Dielectrics,
+    diffuse_weight,
+    holds_photons,
+    interface,
+    lobe_alpha,
+    lobe_f0,
+    scattered,
+    specular_weight,
+)
 from termwise.renderer.microfacet import sample_lobe
 from termwise.renderer.photon_map import PhotonMap, build, empty
 from termwise.renderer.rng import fold, stream
@@ -36,7 +47,7 @@ _STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pi
 _VERTEX = 16  # keys of a photon's vertices: beyond the pairs of its emission
 _PHOTON = 1 << 32  # keys of photons that have a sequence each: beyond those of the vertices
 _PLACE, _WAY = 1, 2
-_ROULETTE, _DIRECTION, _LOBE = 0, 1, 2
+_ROULETTE, _DIRECTION, _LOBE, _CHOICE = 0, 1, 2, 3
 
 
 class Scattering(NamedTuple):
@@ -46,7 +57,7 @@ class Scattering(NamedTuple):
     ----------
     survival : P, at most `most` of it; 0: the largest channel of what the photon would carry on.
     weighted : whether survivors are multiplied by weight / P.
-    full : whether they scatter on the specular lobe too.
+    full : whether they scatter on the specular lobe too, and go through what is transparent.
     independent : whether each photon has randomness of its own. Else all photons of a map share one low-discrepancy
         sequence: less noise in a sum over them, but they land too evenly for a search of the k nearest, whose k-th
         photon then stands too far (k = 50 of 16384 under a point light: E comes out 1.004 and not k / (k - 1) = 1.020
@@ -86,26 +97,54 @@ def _shading_ratio(scene: SceneArrays, surface: Surface, wi: Vec3, wo: Vec3) -> 
 
 
 @device
+def _lobes(dielectrics: Dielectrics | None, gloss: float, surface: Surface) -> float:
+    """The most of a photon's flux that the lobes of a surface send on."""
+    if dielectrics is not None and dielectrics.here[surface.object]:
+        return max(gloss, max_component(vec3(dielectrics.transmission, surface.object)))
+    return gloss
+
+
+@device
+def _sample_lobes(
+    scene: SceneArrays,
+    dielectrics: Dielectrics | None,
+    gloss: float,
+    surface: Surface,
+    wo: Vec3,
+    share: float,
+    sampler: Sampler,
+    u: float,
+    v: float,
+) -> tuple[Vec3, Vec3]:
+    """Direction by the lobes of a surface, picked with probability `share`, and its weight."""
+    if dielectrics is not None and dielectrics.here[surface.object]:
+        lobes = interface(scene, dielectrics, gloss, surface)
+        wi, weight, spread = sample_interface(EITHER, lobes, wo, u, v, sample_1d(sampler, _CHOICE))
+        return wi, scale(weight, 1.0 / (share * spread))
+    # The BRDF is reciprocal: the photon's w_i is sampled as a view's would be.
+    wi, weight = sample_lobe(wo, lobe_alpha(scene, surface), lobe_f0(scene, surface), u, v)
+    return wi, scale(weight, gloss / share)
+
+
+@device
 def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sampler) -> tuple[Vec3, Vec3]:
     """Direction of a photon that goes on and the factor on its flux; a black factor where it is absorbed."""
     black = Vec3(0.0, 0.0, 0.0)
     weight = diffuse_weight(scene, surface)
     diffuse = max_component(weight)
     gloss = specular_weight(scene, surface) if rule.full else 0.0
-    if diffuse + gloss == 0.0:
+    lobes = _lobes(scene.materials.dielectrics, gloss, surface) if rule.full else 0.0
+    if diffuse + lobes == 0.0:
         return black, black
-    share = diffuse / (diffuse + gloss)
+    share = diffuse / (diffuse + lobes)
     local = frame(surface.normal)
     u, v = sample_2d(sampler, _DIRECTION)
-    if gloss == 0.0 or sample_1d(sampler, _LOBE) < share:
+    if lobes == 0.0 or sample_1d(sampler, _LOBE) < share:
         weight = scale(weight, 1.0 / share)
         wi = scattered(scene.materials.translucency, surface, u, v)
     else:
-        f0 = lobe_f0(scene, surface)
-        alpha = lobe_alpha(scene, surface)
-        # The BRDF is reciprocal: the photon's w_i is sampled as a view's would be.
-        wi, weight = sample_lobe(to_local(local, surface.wo), alpha, f0, u, v)
-        weight = scale(weight, gloss / (1.0 - share))
+        wo = to_local(local, surface.wo)
+        wi, weight = _sample_lobes(scene, scene.materials.dielectrics, gloss, surface, wo, 1.0 - share, sampler, u, v)
     survival = min(rule.most, rule.survival if rule.survival > 0.0 else max_component(weight))
     if sample_1d(sampler, _ROULETTE) >= survival:
         return black, black

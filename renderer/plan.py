@@ -100,6 +100,8 @@ def check(scene: Scene, variant: Variant, *, chain: Chain = "next-event") -> Non
         raise ValueError(
             f"{scene.name}: photons.scattering = {scattering!r}: allowed is {allowed} for {variant.term} {variant.name}"
         )
+    if unfit := variant.unfit(scene):
+        raise ValueError(f"{scene.name}: {unfit} for {variant.term} {variant.name}")
     # Radiance that leaves a back as if it were the front has no flux that photons could carry.
     if scene.normals == "face" and variant.photons(scene, chain):
         raise ValueError(
@@ -483,6 +485,9 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
     if scene.translucent and crossed:
         names = _names([thing.name for thing in scene.translucent])
         steps.append(Step(term, "light of the other side", "runs", f"it crosses {names}"))
+    if scene.transparent and TABLE[term].meets:
+        names = _names([thing.name for thing in scene.transparent])
+        steps.append(Step(term, "light of both lobes", "runs", f"chains are reflected by {names} or go through"))
     if "horizon" in applied:
         steps.append(Step(term, "shadow rays", "runs", "one a light sample"))
         skip("horizon", "unlit shadow rays")

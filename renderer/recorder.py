@@ -22,7 +22,18 @@ from typing import Any
 
 import numpy as np
 
-from termwise.renderer import camera, film, kernel_mass, lights, material, photon_map, photon_search, sobol, surface
+from termwise.renderer import (
+    camera,
+    dielectric,
+    film,
+    kernel_mass,
+    lights,
+    material,
+    photon_map,
+    photon_search,
+    sobol,
+    surface,
+)
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.jit import PACKAGE
 from termwise.renderer.microfacet import pdf_lobe
@@ -150,13 +161,28 @@ class Recorder:
             pdf = None
         self.note("lobe direction", wo=given.wo, local=wi, pdf=pdf, weight=weight)
 
+    def sample_interface(self, given: Any, drawn: Any, caller: FrameType) -> None:
+        """A direction of the lobes of a dielectric, its weight with gloss, transparency and tint, and the spread."""
+        wi, weight, spread = drawn
+        pdf = dielectric.pdf_interface(given.way, given.interface, wi, given.wo)
+        self._interface(given, wi, pdf, weight, spread)
+
+    def sample_uniformly(self, given: Any, drawn: Any, caller: FrameType) -> None:
+        """The same by the variant `uniform`."""
+        wi, weight, spread = drawn
+        self._interface(given, wi, _UNIFORM if given.way != dielectric.EITHER else 0.5 * _UNIFORM, weight, spread)
+
+    def _interface(self, given: Any, wi: Any, pdf: float, weight: Any, spread: float) -> None:
+        values = {"eta": given.interface.eta, "crosses": bool(wi.z < 0.0), "weight": weight, "spread": spread}
+        self.note("lobe direction", wo=given.wo, local=wi, pdf=pdf, **values)
+
     def survives(self, given: Any, on: bool, caller: FrameType) -> None:
         """Roulette of a diffuse path."""
         self.note("roulette", survival=given.survival, u=given.u, survives=bool(on))
 
     def sample_1d(self, given: Any, u: float, caller: FrameType) -> None:
         """Roulette of a chain: it reads a number of its own dimension once `survival` is known."""
-        if caller.f_code.co_name == "_chain" and given.dimension == specular.ROULETTE:
+        if caller.f_code.co_name == "chain" and given.dimension == specular.ROULETTE:
             survival = caller.f_locals["survival"]
             self.note("roulette", survival=survival, u=u, survives=bool(u < survival))
 
@@ -222,6 +248,8 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     material.scattered,
     material.side_of,
     specular.sample_variant,
+    dielectric.sample_interface,
+    dielectric.sample_uniformly,
     sobol.sample_1d,
     kernel_mass.falloff,
     kernel_mass.kernel_mass,

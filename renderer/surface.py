@@ -15,8 +15,8 @@ from termwise.renderer.geometry.wave import Wave, hit_of, put_hit
 from termwise.renderer.jit import device
 from termwise.renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
 from termwise.renderer.spheres import Spheres
-from termwise.renderer.triangles import Geometry, point_on_face
-from termwise.renderer.vector import Vec3, column, dot, entry, negate, normalize, put_column, sub, vec3
+from termwise.renderer.triangles import Geometry, point_on_face, shading_normal
+from termwise.renderer.vector import Vec3, column, dot, entry, negate, put_column, sub, vec3
 
 
 class Surface(NamedTuple):
@@ -43,21 +43,6 @@ def turned(surface: Surface) -> Surface:
     """The same point seen from the other side, but for the way to who sees it."""
     s = surface
     return Surface(s.point, negate(s.normal), s.wo, s.face, s.object, -s.side, s.b1, s.b2)
-
-
-@device
-def _shading_normal(geometry: Geometry, face: int, b1: float, b2: float) -> Vec3:
-    if not geometry.smooth[face]:
-        return vec3(geometry.normals, face)
-    b0 = 1.0 - b1 - b2
-    n = geometry.shading
-    return normalize(
-        Vec3(
-            b0 * n[face, 0, 0] + b1 * n[face, 1, 0] + b2 * n[face, 2, 0],
-            b0 * n[face, 0, 1] + b1 * n[face, 1, 1] + b2 * n[face, 2, 1],
-            b0 * n[face, 0, 2] + b1 * n[face, 1, 2] + b2 * n[face, 2, 2],
-        )
-    )
 
 
 @device
@@ -107,7 +92,7 @@ def _met(scene: SceneArrays, balls: Spheres | None, hit: Hit, wo: Vec3) -> Surfa
         if scene.face_forward and not outside:
             normal = negate(normal)
         return Surface(point, normal, wo, hit.face, thing, 1.0 if outside else -1.0, hit.b1, hit.b2)
-    normal = _shading_normal(geometry, hit.face, hit.b1, hit.b2)
+    normal = shading_normal(geometry, hit.face, hit.b1, hit.b2)
     if scene.face_forward and dot(normal, wo) < 0.0:
         normal = negate(normal)
     side = 1.0 if dot(vec3(geometry.normals, hit.face), wo) >= 0.0 else -1.0

@@ -9,7 +9,7 @@ from termwise.renderer.geometry.bvh import Tree
 from termwise.renderer.jit import device
 from termwise.renderer.spheres import Spheres
 from termwise.renderer.spheres import from_scene as spheres_of
-from termwise.renderer.vector import Vec3
+from termwise.renderer.vector import Vec3, normalize, vec3
 from termwise.scenes.model import Scene
 
 
@@ -85,6 +85,22 @@ def _triangles(scene: Scene) -> Geometry:
         first=np.cumsum([0, *map(len, owner)]).astype(np.int32),
         tree=bvh.build(faces),
         spheres=None,
+    )
+
+
+@device
+def shading_normal(geometry: Geometry, face: int, b1: float, b2: float) -> Vec3:
+    """Unit normal at a point of a face, on the side that the face has it."""
+    if not geometry.smooth[face]:
+        return vec3(geometry.normals, face)
+    b0 = 1.0 - b1 - b2
+    n = geometry.shading
+    return normalize(
+        Vec3(
+            b0 * n[face, 0, 0] + b1 * n[face, 1, 0] + b2 * n[face, 2, 0],
+            b0 * n[face, 0, 1] + b1 * n[face, 1, 1] + b2 * n[face, 2, 1],
+            b0 * n[face, 0, 2] + b1 * n[face, 1, 2] + b2 * n[face, 2, 2],
+        )
     )
 
 

@@ -136,7 +136,7 @@ class _Placed:
     transparency: float = model.Material().transparency
     ior: float = model.Material().ior
     tint: model.Color = model.Material().tint
-    fresnel: Literal["schlick", "dielectric"] | None = None
+    fresnel: Literal["auto", "schlick", "dielectric"] = model.Material().fresnel
     emission: model.Color = attrs.field(default=model.BLACK, validator=model.non_negative)
 
     def __attrs_post_init__(self) -> None:

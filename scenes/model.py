@@ -140,8 +140,8 @@ def least(value: Any) -> Any:
 
 
 def _fresnel(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
-    if value not in (None, "schlick", "dielectric"):
-        _refuse(attribute, value, "'schlick' or 'dielectric'")
+    if value not in ("auto", "schlick", "dielectric"):
+        _refuse(attribute, value, "'auto', 'schlick' or 'dielectric'")
 
 
 @attrs.frozen
@@ -152,8 +152,8 @@ class Material:
     `color (1 - gloss) (1 - t) ((1 - s) E(n) + s E(-n)) / pi`, n on the viewer's side.
 
     What the microfacets of a transparent surface do not reflect goes through, refracted (Walter et al., EGSR 2007),
-    with the weight `transparency tint`; they reflect with the weight `gloss`. Outside is where the normal points to. The
-    weights make no energy: `g F + t (1 - F) + color (1 - g) (1 - t) <= 1` for all F.
+    with the weight `transparency tint`; they reflect with the weight `gloss`. Outside is where the normal points to.
+    The weights make no energy: `g F + t (1 - F) + color (1 - g) (1 - t) <= 1` for all F.
 
     Attributes
     ----------
@@ -165,9 +165,9 @@ class Material:
     transparency : share t of the light that goes through, of what is not reflected, in [0, 1].
     ior : index of refraction, inside over outside, in [0.1, 10].
     tint : share of the light left at every passage through the surface, in [0, 1] per channel.
-    fresnel : "schlick", F of `f0`, or "dielectric", F of `ior`: exact, unpolarised, total reflection included. None is
-        "dielectric" of what is transparent, which can be nothing else, and "schlick" of what is not. Both sides of an
-        opaque surface are its outside.
+    fresnel : "schlick", F of `f0`, or "dielectric", F of `ior`: exact, unpolarised, total reflection included. "auto"
+        is "dielectric" of what is transparent, which can be nothing else, and "schlick" of what is not. Both sides of
+        an opaque surface are its outside.
 
     Color, gloss and roughness may be a `Texture`, of 3 channels, 1 and 1, of an opaque surface.
     """
@@ -184,7 +184,7 @@ class Material:
     transparency: float = attrs.field(converter=_number, default=0.0, validator=unit_interval)
     ior: float = attrs.field(converter=_number, default=1.5, validator=in_range(0.1, 10.0))
     tint: Color = attrs.field(converter=_triple, default=(1.0, 1.0, 1.0), validator=unit_interval)
-    fresnel: Literal["schlick", "dielectric"] | None = attrs.field(default=None, validator=_fresnel)
+    fresnel: Literal["auto", "schlick", "dielectric"] = attrs.field(default="auto", validator=_fresnel)
 
     def __attrs_post_init__(self) -> None:
         """Refuse what a transparent surface cannot have."""
@@ -198,7 +198,7 @@ class Material:
     @property
     def dielectric(self) -> bool:
         """Whether its microfacets reflect as those of a dielectric do."""
-        return self.transparency > 0.0 if self.fresnel is None else self.fresnel == "dielectric"
+        return self.transparency > 0.0 if self.fresnel == "auto" else self.fresnel == "dielectric"
 
     @property
     def textures(self) -> dict[str, Texture]:

@@ -5,6 +5,9 @@ sky. One chain a sample: the paper's tree of N^M rays has the same mean at expon
 objects and the sky, never the lights (paper). The ambient light at its vertices is the variant `cosine`; direct is
 `next-event` or `path` (`Chain`).
 
+Where a surface is transparent L holds the term `transmission` too: a chain is then reflected or refracted at each of
+its vertices, one of the two by chance, but for the camera's, whose lobe says which term it is of.
+
 The variants differ in how w_i is drawn and weighted. `vndf` and `uniform` are unbiased. The others are the paper's;
 with H[L] = (1/pi) ∫ mu_i L dw and a density 1 / (2 pi) the mean of a weight w is (1 / 2 pi) ∫ w L dw:
 
@@ -24,10 +27,11 @@ from typing import Any
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.dielectric import EITHER, REFLECTED, sample_interface, sample_uniformly
 from termwise.renderer.film import accumulate, next_hits, no_hits, sampler_of
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
-from termwise.renderer.material import lobe_alpha, lobe_f0, specular_weight
+from termwise.renderer.material import Dielectrics, chain_ends, interface, lobe_alpha, lobe_f0, specular_weight
 from termwise.renderer.microfacet import eval_dfg, sample_lobe
 from termwise.renderer.photon_map import PhotonMap
 from termwise.renderer.rng import fold
@@ -47,6 +51,7 @@ from termwise.scenes.model import Scene
 
 LOBE = 6  # the pair of dimensions of the lobe's direction
 ROULETTE = 7
+CHOICE = 8  # between the lobes of a dielectric
 _CHAIN = 1 << 20  # keys of the chain's vertices: beyond those of a path
 
 
@@ -74,6 +79,41 @@ def sample_variant(lobe: int, rings: int, wo: Vec3, alpha: float, f0: Vec3, u: f
         return wi, scale(dfg, 2.0 / wi.z)
     weight = math.pi / wo.z if lobe == PAPER_CODE_NO_PI else 1.0 / wo.z
     return wi, mad(dfg, weight, Vec3(wi.z, wi.z, wi.z))
+
+
+@device
+def _sample_lobes(
+    scene: SceneArrays,
+    dielectrics: Dielectrics | None,
+    lobe: int,
+    way: int,
+    gloss: float,
+    surface: Surface,
+    wo: Vec3,
+    throughput: Vec3,
+    spread: float,
+    sampler: Sampler,
+) -> tuple[Vec3, Vec3, float]:
+    """Direction in the local frame, and what throughput and spread are beyond."""
+    u, v = sample_2d(sampler, LOBE)
+    if dielectrics is not None and dielectrics.here[surface.object]:
+        lobes = interface(scene, dielectrics, gloss, surface)
+        way = REFLECTED if dielectrics.opaque[surface.object] else way
+        if lobe == VNDF:
+            wi, weight, squeezed = sample_interface(way, lobes, wo, u, v, sample_1d(sampler, CHOICE))
+        else:
+            wi, weight, squeezed = sample_uniformly(way, lobes, wo, u, v)
+        return wi, mul(throughput, weight), spread * squeezed
+    wi, weight = sample_variant(lobe, scene.rings, wo, lobe_alpha(scene, surface), lobe_f0(scene, surface), u, v)
+    return wi, scale(mul(throughput, weight), gloss), spread
+
+
+@device
+def _brightest(dielectrics: Dielectrics | None, throughput: Vec3, spread: float) -> float:
+    """What the roulette goes by: of flux, for radiance that a chain finds in a denser medium it loses where it left."""
+    if dielectrics is not None:
+        return max_component(throughput) / spread
+    return max_component(throughput)
 
 
 _NEXT_EVENT, _PATH, _NEAREST = range(3)
@@ -104,8 +144,9 @@ def _diffuse(
 
 
 @kernel
-def _chain(
+def chain(
     scene: SceneArrays,
+    begins: int,
     lobe: int,
     direct: int,
     photons: PhotonMap,
@@ -115,8 +156,10 @@ def _chain(
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:
+    """Chains that begin with the lobe `begins` of the camera's vertex, drawn by the rule `lobe`: see `inputs_of`."""
     heap = np.empty(nearest)
     chosen = np.empty(nearest, np.int64)
+    dielectrics = scene.materials.dielectrics
     hits = no_hits()
     while True:
         hits = next_hits(scene, key, work, hits, scratch)
@@ -125,22 +168,23 @@ def _chain(
         for i in range(hits.count):
             surface = surface_of(scene, scratch.primary, i)
             sampler = sampler_of(i, scratch)
-            throughput = Vec3(1.0, 1.0, 1.0)
+            throughput, spread = Vec3(1.0, 1.0, 1.0), 1.0
+            way = begins
             bounce = 0
             while surface.face >= 0 and bounce < scene.max_bounces:
                 bounce += 1
                 gloss = specular_weight(scene, surface)
-                if gloss == 0.0 or shadowed(scene, surface, scratch):
+                if chain_ends(dielectrics, way, gloss, surface) or shadowed(scene, surface, scratch):
                     break
                 local = frame(surface.normal)
                 wo = to_local(local, surface.wo)
-                u, v = sample_2d(sampler, LOBE)
-                alpha, f0 = lobe_alpha(scene, surface), lobe_f0(scene, surface)
-                wi, weight = sample_variant(lobe, scene.rings, wo, alpha, f0, u, v)
-                throughput = scale(mul(throughput, weight), gloss)
+                wi, throughput, spread = _sample_lobes(
+                    scene, dielectrics, lobe, way, gloss, surface, wo, throughput, spread, sampler
+                )
+                way = EITHER
                 if scene.skips.throughput and is_black(throughput):
                     break
-                brightest = max_component(throughput)
+                brightest = _brightest(dielectrics, throughput, spread)
                 if 0.0 < brightest < scene.faint:
                     survival = brightest / scene.faint
                     if sample_1d(sampler, ROULETTE) >= survival:
@@ -157,18 +201,21 @@ def _chain(
                 accumulate(out, scratch.y[i], scratch.x[i], mul(throughput, radiance))
 
 
-def _inputs(lobe: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:
+def inputs_of(begins: int, lobe: int) -> Callable[[Scene, Chain, PhotonMap], tuple[Any, ...]]:
+    """The arguments of `chain` for chains that begin with a lobe of the camera's vertex, drawn by the rule `lobe`."""
+
     def inputs(scene: Scene, chain: Chain, photons: PhotonMap) -> tuple[Any, ...]:
         if chain == "paper":
-            return lobe, _NEAREST, photons, scene.photons.nearest
+            return begins, lobe, _NEAREST, photons, scene.photons.nearest
         # With scope `first-hit` light sampling is exact: there is no chain of diffuse bounces to follow.
         unbiased = chain == "path" and scene.scope == "all"
-        return lobe, _PATH if unbiased else _NEXT_EVENT, photons, 0
+        return begins, lobe, _PATH if unbiased else _NEXT_EVENT, photons, 0
 
     return inputs
 
 
-def _photons(scene: Scene, chain: Chain) -> Stored | None:
+def photons_of(scene: Scene, chain: Chain) -> Stored | None:
+    """Which photons a chain gathers."""
     if chain == "paper":
         return "all"
     return "scattered" if scene.scope == "all" and chain == "next-event" else None
@@ -185,8 +232,16 @@ def _rings(lobe: float) -> Callable[[Scene, int], Limit]:
 
 
 def _variant(name: str, lobe: int, **fields: Any) -> Variant:
-    kernel = Compiled(_chain)
-    return Variant(name=name, term="specular", estimator=kernel, inputs=_inputs(lobe), photons=_photons, **fields)
+    return Variant(
+        name=name,
+        term="specular",
+        estimator=Compiled(chain),
+        inputs=inputs_of(REFLECTED, lobe),
+        photons=photons_of,
+        dielectrics=lobe in (VNDF, UNIFORM),
+        by_direction=lobe == UNIFORM,
+        **fields,
+    )
 
 
 VARIANTS = (

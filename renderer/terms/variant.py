@@ -53,6 +53,8 @@ class Variant:
     occludes : of the ambient term, whether it traces occlusion rays.
     open_is_one : whether it knows without a ray that AO is 1 where nothing lies within reach.
     samples_lights : whether it sends shadow rays to points of the lights.
+    dielectrics : whether it has a rule for surfaces that reflect as dielectrics do.
+    by_direction : whether it draws directions by no lobe: a lobe that is a single direction it never meets.
     several_lights : whether `arrays.light_samples` of them stand beside one estimate by photons.
     no_maps : of the direct term, why it has no photon maps where it has none.
     """
@@ -78,6 +80,8 @@ class Variant:
     occludes: bool = True
     open_is_one: bool = False
     samples_lights: bool = False
+    dielectrics: bool = True
+    by_direction: bool = False
     several_lights: bool = False
     no_maps: str = "first hits need none"
 
@@ -85,6 +89,18 @@ class Variant:
         """Whether its maps are searched for the k nearest photons, whose mean depends on how many are emitted."""
         kernel = self.kernel(scene, 1)
         return kernel.shape == "nearest" if kernel else chain == "paper"
+
+    def unfit(self, scene: Scene) -> str | None:
+        """Why its images mean nothing in a scene, or None."""
+        for thing in scene.objects:
+            surface = thing.surface
+            if surface.transparency > 0.0 and not self.dielectrics:
+                return f"objects: {thing.name!r}: transparency = {surface.transparency!r}: allowed is 0"
+            if surface.dielectric and not self.dielectrics:
+                return f"objects: {thing.name!r}: fresnel = 'dielectric': allowed is 'schlick'"
+            if surface.transparency > 0.0 and surface.ior == 1.0 and self.by_direction:
+                return f"objects: {thing.name!r}: ior = 1.0: allowed is any other"
+        return None
 
     def kernel_based(self, scene: Scene) -> bool:
         """Whether its bias vanishes only as a photon kernel shrinks."""

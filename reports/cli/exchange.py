@@ -32,7 +32,7 @@ def export(
     to
         neutral (JSON, for adapters), mitsuba (XML), gltf (GLB), pbrt (version 4), obj (with MTL).
     diffuse
-        Every gloss and translucency is 0: what every format says exactly.
+        Every gloss, translucency and transparency is 0: what every format says exactly.
     output
         The file, or a folder for a file of the scene's name; out/export if not given.
     """

@@ -66,7 +66,7 @@ def judge(
         A scene of the library or a scene file, all light of which the images show: its reference is rendered, at the
         images' size, and its objects are known by name.
     diffuse
-        Of the scene: every gloss and translucency is 0.
+        Of the scene: every gloss, translucency and transparency is 0.
     resolution
         Of what an engine renders, instead of the scene's.
     replicates

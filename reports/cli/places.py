@@ -142,7 +142,7 @@ def replay(
     scene
         A scene as the study has it: a name of the library, the path of a scene file, or SCENE.SETTING.
     term
-        ambient, direct, specular or background.
+        ambient, direct, specular, transmission or background.
     variant
         An estimator of the term; its default if not given.
     x

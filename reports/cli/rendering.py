@@ -57,7 +57,7 @@ def render(
     samples
         Samples per pixel and replicate, powers of two are best; 16 if not given, of an engine what its file says.
     diffuse
-        Every gloss and translucency is 0, which every engine can say.
+        Every gloss, translucency and transparency is 0, which every engine can say.
     replicates
         Independent repetitions that are averaged; two or more give a variance.
     seed

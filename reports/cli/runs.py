@@ -65,7 +65,7 @@ def compare(
     estimators
         A Python file that calls `termwise.register`: what it registers is measured too.
     diffuse
-        With --engine: every gloss and translucency is 0, which every renderer can say.
+        With --engine: every gloss, translucency and transparency is 0, which every renderer can say.
     row
         With --engine: only these of total, ambient, direct (first hit), "direct all" (bounces).
     workers

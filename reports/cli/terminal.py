@@ -43,7 +43,8 @@ SceneName = Annotated[
     str, Parameter(help="A name of the library or the path of a file: TOML, Mitsuba's XML, GLB or OBJ.")
 ]
 TermName = Annotated[
-    str | None, Parameter(help="ambient, direct, specular or background; without it all of them and their sum.")
+    str | None,
+    Parameter(help="ambient, direct, specular, transmission or background; without it all of them and their sum."),
 ]
 Size = tuple[int, int] | None
 Resolution = Annotated[Size, Parameter(help="Width and height, instead of the scene's.")]

@@ -91,10 +91,15 @@ def _lit_by(described: dict[str, Any], kind: str) -> bool:
     return any(light["type"] == kind for light in described["lights"])
 
 
+def _diffuse(material: dict[str, Any]) -> bool:
+    return any(material["color"]) and material["gloss"] < 1.0 and material.get("transparency", 0.0) < 1.0
+
+
 FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
-    "diffuse": lambda d: any(any(o["material"]["color"]) and o["material"]["gloss"] < 1 for o in d["objects"]),
+    "diffuse": lambda d: any(_diffuse(o["material"]) for o in d["objects"]),
     "glossy": lambda d: any(o["material"]["gloss"] > 0 for o in d["objects"]),
     "translucent": lambda d: any("translucency" in o["material"] for o in d["objects"]),
+    "dielectric": lambda d: any("fresnel" in o["material"] for o in d["objects"]),
     "smooth": lambda d: any(o["normals"] is not None for o in d["objects"]),
     "area": lambda d: any(any(o["emission"]) for o in d["objects"]),
     "reflecting-lamp": lambda d: any(
@@ -113,9 +118,9 @@ FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
 
 _UNSAID: dict[Format, tuple[Feature, ...]] = {
     "neutral": (),
-    "mitsuba": ("glossy", "sun"),
-    "gltf": ("glossy", "reflecting-lamp", "spot", "sun", "sphere", "constant-sky", "image-sky"),
-    "pbrt": ("glossy", "reflecting-lamp", "spot", "sun"),
+    "mitsuba": ("glossy", "dielectric", "sun"),
+    "gltf": ("glossy", "dielectric", "reflecting-lamp", "spot", "sun", "sphere", "constant-sky", "image-sky"),
+    "pbrt": ("glossy", "dielectric", "reflecting-lamp", "spot", "sun"),
     "termwise": ("reflecting-lamp",),
 }
 """What a format has no exact word for."""

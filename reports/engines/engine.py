@@ -30,6 +30,7 @@ Feature = Literal[
     "diffuse",
     "glossy",
     "translucent",
+    "dielectric",
     "smooth",
     "area",
     "reflecting-lamp",

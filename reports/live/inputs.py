@@ -174,6 +174,14 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                     ),
                     *_triple((*material, "f0"), "F0", "", "reflectance", "RGB", high=1.0),
                     Input((*material, "translucency"), "translucency", "", "share that crosses", 0.0, 1.0),
+                    Input((*material, "transparency"), "transparency", "", "share that goes through", 0.0, 1.0),
+                    Input((*material, "ior"), "index of refraction", "", "inside over outside", 1.0, 3.0),
+                    *_triple((*material, "tint"), "tint", "", "of what goes through", "RGB", high=1.0),
+                    Input(
+                        (*material, "fresnel"),
+                        "F is that of",
+                        choices=get_args(attrs.fields_dict(Material)["fresnel"].type),
+                    ),
                 ],
             )
 

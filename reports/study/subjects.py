@@ -68,8 +68,9 @@ def scenes_of(study: Study, names: tuple[str, ...] = (), *, approximate: bool = 
 
 
 def variants_of(study: Study, scene: Scene, term: Term) -> tuple[Variant, ...]:
-    """Variants of a term that mean what the scene means: those whose limit has the scene's scope."""
+    """Variants of a term that mean what the scene means: those that fit it, and whose limit has its scope."""
     chosen = [VARIANTS[term][name] for name in study.variants_of(term)]
+    chosen = [variant for variant in chosen if variant.unfit(scene) is None]
     return tuple(variant for variant in chosen if variant.limit(scene, 1).scope in (None, scene.scope))
 
 

@@ -14,9 +14,9 @@ import attrs
 import numpy as np
 import PIL.Image
 
-from termwise.scenes.exchange.imported import LONGEST, Import, Unsaid, coated, look
+from termwise.scenes.exchange.imported import LONGEST, MIRROR, Import, Unsaid, coated, look
 from termwise.scenes.meshes.glb import File, described
-from termwise.scenes.model import Color, DirectionalLight, Material, PointLight, Scene, SpotLight, largest
+from termwise.scenes.model import BLACK, Color, DirectionalLight, Material, PointLight, Scene, SpotLight, largest
 from termwise.scenes.srgb import decoded
 
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -27,6 +27,8 @@ _KNOWN = {
     "KHR_materials_emissive_strength",
     "KHR_materials_specular",
     "KHR_materials_ior",
+    "KHR_materials_transmission",
+    "KHR_materials_volume",
 }
 _TINY = 1e-4
 """Of a matrix whose columns should be orthogonal and of one length."""
@@ -93,6 +95,7 @@ def _primitive(found: Import, file: File, number: int, primitive: Any, points: n
         tint = file.accessor(attributes["COLOR_0"])[:, :3].mean(axis=0)
     used = file.item("materials", primitive["material"]) if "material" in primitive else {}
     material, emission = _material(found, file, used, f"material {used['name']!r}" if "name" in used else name, tint)
+    material = _transparent(found, used, name, material)
     material = _translucent(found, used, name, material)
     found.add(name, points @ _UP.T, faces, material, normals=normals, emission=emission)
 
@@ -109,6 +112,41 @@ def _translucent(found: Import, used: Any, name: str, material: Material) -> Mat
     ):
         found.instead(name, "diffuseTransmissionColorFactor", "the colour of the diffuse part")
     return attrs.evolve(material, translucency=share)
+
+
+_MOSTLY = 0.5
+"""Of what goes through a surface that a transparent one stands for; of less an opaque one does."""
+
+
+def _transparent(found: Import, used: Any, name: str, material: Material) -> Material:
+    """Glass in the place of the material, where light goes through it.
+
+    With a volume it is refracted. Without, it goes straight on, as through one face of no index.
+    """
+    extensions = used.get("extensions", {})
+    given = extensions.get("KHR_materials_transmission", {})
+    volume = extensions.get("KHR_materials_volume", {})
+    share = given.get("transmissionFactor", 0.0)
+    if "transmissionTexture" in given:
+        found.instead(name, "transmissionTexture", "its factor alone")
+    if share == 0.0:
+        return material
+    if share < 1.0:
+        mostly = share >= _MOSTLY
+        found.instead(name, f"transmissionFactor {share:g}", "glass without a diffuse part" if mostly else "no glass")
+        if not mostly:
+            return material
+    if "attenuationColor" in volume or "thicknessTexture" in volume:
+        found.instead(name, "a volume that absorbs light", "a clear one")
+    surface = used.get("pbrMetallicRoughness", {})
+    roughness = float(np.clip(surface.get("roughnessFactor", 1.0) ** 2, MIRROR, 1.5))
+    ior = extensions.get("KHR_materials_ior", {}).get("ior", 1.5)
+    if volume.get("thicknessFactor", 0.0) == 0.0:
+        found.instead(name, "glass without a volume", "a face that light goes straight through, and reflects nothing")
+        ior = 1.0
+    red, green, blue = np.clip(surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3], 0.0, 1.0).tolist()
+    gloss = extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0)
+    return Material(BLACK, gloss, roughness, transparency=share, ior=ior, tint=(red, green, blue))
 
 
 def _material(found: Import, file: File, used: Any, name: str, tint: np.ndarray) -> tuple[Material, Color]:

@@ -1,4 +1,4 @@
-"""GLB, that is glTF 2.0 in one file, with its extensions for lights, emission above 1, translucency, no specular part.
+"""GLB, that is glTF 2.0 in one file, with its extensions for lights, emission above 1, translucency, glass, no gloss.
 
 A unit of radiance is a nit: emission is `emissiveFactor * emissiveStrength`, a point's intensity is in candela. A
 surface without gloss is `metallicFactor` 0 under `specularFactor` 0, which is Lambert's. glTF's y is up: the scene's z
@@ -42,9 +42,9 @@ def write(scene: Scene, path: Path) -> list[str]:
     for node in (nodes[0], *lights, eye):
         node["name"] = _free(node["name"], taken)
     nodes[0]["children"] = list(range(1, len(nodes)))
-    used = {"KHR_materials_specular": bool(objects), "KHR_materials_emissive_strength": content.strong}
-    used["KHR_lights_punctual"] = bool(lights)
-    used["KHR_materials_diffuse_transmission"] = any("translucency" in o["material"] for o in described["objects"])
+    used = {"KHR_lights_punctual": bool(lights)}
+    extensions = (each for material in content.materials for each in material["extensions"])
+    used |= dict.fromkeys(extensions, True)
     width, height = described["film"]["resolution"]
     tangent = math.tan(math.radians(camera["horizontal_fov"]) / 2.0)
     found: dict[str, Any] = {
@@ -89,7 +89,14 @@ def left_out(described: dict[str, Any]) -> list[str]:
     found = []
     for thing in described["objects"]:
         material = thing["material"]
-        if material["gloss"] > 0.0:
+        if "fresnel" in material:
+            found.append(
+                f"objects: {thing['name']!r}: fresnel = 'dielectric': glTF's lobes are GGX's of the same alpha with "
+                "Schlick's reflectance, and the diffuse part has what they leave of one base colour"
+            )
+            if material["ior"] < 1.0:
+                found.append(f"objects: {thing['name']!r}: ior = {material['ior']!r}: glTF's is 1 at least: it is 1")
+        elif material["gloss"] > 0.0:
             found.append(
                 f"objects: {thing['name']!r}: gloss = {material['gloss']!r}: one base colour for both lobes, and the "
                 "lobe is GGX's of the same alpha, not Beckmann's"
@@ -118,7 +125,6 @@ class _Content:
         self.accessors: list[Any] = []
         self.meshes: list[Any] = []
         self.materials: list[Any] = []
-        self.strong = False
 
     def add(self, values: np.ndarray, *, bounds: bool = False) -> int:
         """Store float32 triples, or uint32 indices; the number of their accessor."""
@@ -149,7 +155,6 @@ def _object(thing: dict[str, Any], content: _Content) -> dict[str, Any]:
         attributes["NORMAL"] = content.add(np.array(thing["normals"], "<f4"))
     indices = content.add(np.array(thing["faces"], "<u4").ravel())
     content.materials.append(_material(thing))
-    content.strong |= max(thing["emission"]) > 1.0
     primitive = {"attributes": attributes, "indices": indices, "material": len(content.materials) - 1}
     content.meshes.append({"name": thing["name"], "primitives": [primitive]})
     return {"name": thing["name"], "mesh": len(content.meshes) - 1}
@@ -165,6 +170,20 @@ def _material(thing: dict[str, Any]) -> dict[str, Any]:
         "roughnessFactor": min(math.sqrt(material["roughness"]), 1.0) if gloss else 1.0,
     }
     extensions: dict[str, Any] = {"KHR_materials_specular": {"specularFactor": 0.0}}
+    if "fresnel" in material:
+        # With a volume what goes through is refracted; its colour is the base's.
+        surface = {
+            "baseColorFactor": [*material.get("tint", material["color"]), 1.0],
+            "metallicFactor": 0.0,
+            "roughnessFactor": min(math.sqrt(material["roughness"]), 1.0),
+        }
+        extensions = {
+            "KHR_materials_ior": {"ior": max(material["ior"], 1.0)},
+            "KHR_materials_specular": {"specularFactor": gloss},
+        }
+        if "transparency" in material:
+            extensions["KHR_materials_transmission"] = {"transmissionFactor": material["transparency"]}
+            extensions["KHR_materials_volume"] = {"thicknessFactor": 1.0}
     found: dict[str, Any] = {
         "name": thing["name"],
         "pbrMetallicRoughness": surface,

@@ -26,6 +26,8 @@ SUFFIX = ".xml"
 SAMPLES = 64
 RESERVED = ("integrator", "sensor", "sky")
 """Names of what is no object; those of lights have a colon, which is taken from objects."""
+SMOOTH = 1e-4
+"""The model's least roughness; Mitsuba's smooth plugin says it, for single precision hardly samples such a lobe."""
 BRIGHT = 0.9999
 """Of a conductor's reflectance at normal incidence: at 1 its index of refraction is infinite."""
 _REACH = 1e-4, 1e4
@@ -103,12 +105,18 @@ def write_described(
 
 def left_out(described: dict[str, Any]) -> list[str]:
     """What plain Mitsuba cannot say of a scene described."""
+    rational = "a rational approximation of Smith's masking"
     found = [
         f"objects: {thing['name']!r}: gloss = {_gloss(thing['material'])}: the lobe has the Fresnel reflectance of "
-        "a dielectric of the same f0, not Schlick's, and a rational approximation of Smith's masking"
+        f"a dielectric of the same f0, not Schlick's, and {rational}"
         for thing in described["objects"]
-        if thing["material"]["gloss"] != 0.0
+        if thing["material"]["gloss"] != 0.0 and "fresnel" not in thing["material"]
     ]
+    for thing in described["objects"]:
+        if "fresnel" in thing["material"]:
+            smooth = thing["material"]["roughness"] == SMOOTH and "transparency" in thing["material"]
+            told = "the lobes are perfectly smooth" if smooth else f"the lobes have {rational}"
+            found.append(f"objects: {thing['name']!r}: fresnel = 'dielectric': {told}")
     found += [
         f"lights[{number}]: sun: a directional light without a disc"
         for number, light in enumerate(described["lights"])
@@ -192,7 +200,31 @@ def _color(parent: ElementTree.Element, name: str, color: Any, folder: str) -> N
         _value(parent, "rgb", name, _numbers(color))
 
 
+def _dielectric(parent: ElementTree.Element, material: dict[str, Any], folder: str) -> None:
+    """What is transparent: its diffuse part has a share of a blend, and the lobes are larger by what is left of it."""
+    gloss, transparency = material["gloss"], material["transparency"]
+    diffuse = (1.0 - gloss) * (1.0 - transparency) if any(material["color"]) else 0.0
+    if diffuse:
+        parent = _plugin(parent, "bsdf", "blendbsdf")
+        _value(parent, "float", "weight", 1.0 - diffuse)
+        share = material.get("translucency", 0.0)
+        _diffuse(parent if share else _plugin(parent, "bsdf", "twosided"), share, material["color"], folder)
+    smooth = material["roughness"] == SMOOTH
+    lobes = _plugin(parent, "bsdf", "dielectric" if smooth else "roughdielectric")
+    if not smooth:
+        _value(lobes, "string", "distribution", "beckmann")
+        _value(lobes, "float", "alpha", material["roughness"])
+    _value(lobes, "float", "int_ior", material["ior"])
+    _value(lobes, "float", "ext_ior", 1.0)
+    through = [transparency * each / (1.0 - diffuse) for each in material["tint"]]
+    _value(lobes, "rgb", "specular_reflectance", _numbers([gloss / (1.0 - diffuse)] * 3))
+    _value(lobes, "rgb", "specular_transmittance", _numbers(through))
+
+
 def _bsdf(parent: ElementTree.Element, material: dict[str, Any], folder: str) -> None:
+    if "transparency" in material:
+        _dielectric(parent, material, folder)
+        return
     share = material.get("translucency", 0.0)
     if not share:
         parent = _plugin(parent, "bsdf", "twosided")  # which takes nothing that lets light through
@@ -204,10 +236,11 @@ def _bsdf(parent: ElementTree.Element, material: dict[str, Any], folder: str) ->
         parent = _plugin(parent, "bsdf", "twosided") if share else parent
         # A conductor without absorption is a dielectric seen from outside: f0 = ((n - 1) / (n + 1))².
         roots = [math.sqrt(min(f0, BRIGHT)) for f0 in material["f0"]]
+        indices = [(1.0 + root) / (1.0 - root) for root in roots]
         lobe = _plugin(parent, "bsdf", "roughconductor")
         _value(lobe, "string", "distribution", "beckmann")
         _number(lobe, "alpha", material["roughness"], folder)
-        _value(lobe, "rgb", "eta", _numbers((1.0 + root) / (1.0 - root) for root in roots))
+        _value(lobe, "rgb", "eta", _numbers([material["ior"]] * 3 if "ior" in material else indices))
         _value(lobe, "rgb", "k", _numbers((0.0, 0.0, 0.0)))
 
 

@@ -30,8 +30,10 @@ from termwise.scenes.model import (
 from termwise.scenes.store import write_atomically
 from termwise.scenes.textures import Texture, in_color
 
-FORMAT, VERSION, LATER = "termwise-neutral", 1, 2
-"""The version is that of the oldest reader who understands the file: 2 with an image or what is translucent, else 1."""
+FORMAT = "termwise-neutral"
+PLAIN, OF_IMAGES, OF_DIELECTRICS = 1, 2, 3
+"""The version is that of the oldest reader who understands the file: 2 with an image or what is translucent, 3 with a
+dielectric, else 1."""
 SUFFIX = ".json"
 SCHEMA = Path(__file__).with_name("neutral.schema.json")
 CONVENTIONS = {
@@ -49,6 +51,11 @@ CONVENTIONS = {
     "it repeats, or with wrap clamp its border goes on; a sample is the value at one point",
     "translucency": "where a material has it, s: color is divided, (1 - s) color / pi for light of the viewer's side, "
     "s color / pi for light of the other side, which crosses the surface; without, s is 0",
+    "fresnel": "of a material that has fresnel = dielectric F is that of a smooth surface between two media, "
+    "unpolarised, of the index ior: inside over outside, the side that the normal points to; total reflection included",
+    "transparency": "of such a material, t: f = (1 - gloss) (1 - t) color / pi + gloss f_r + t tint f_t, both lobes of "
+    "the same microfacets, f_t Walter's (EGSR 2007) of the 1 - F that they do not reflect, of radiance, which is eta^2 "
+    "times as much in a medium of the index eta; without, t is 0, and both sides are outside",
     "emission": "radiance that leaves the front of the faces; the back of a lamp is black, and neither side reflects",
     "point": "intensity is radiant intensity, radiance x area, per steradian: a surface at distance d that faces the "
     "light has the irradiance intensity / d^2",
@@ -65,10 +72,11 @@ CONVENTIONS = {
 
 
 def diffuse(scene: Scene) -> Scene:
-    """The scene with every gloss and translucency 0: what every format and renderer can say exactly."""
+    """The scene with every gloss, translucency and transparency 0: what every format and renderer can say exactly."""
 
     def plain(thing: Object) -> Object:
-        return attrs.evolve(thing, material=attrs.evolve(thing.material, gloss=0.0, translucency=0.0))
+        none = {"gloss": 0.0, "translucency": 0.0, "transparency": 0.0, "fresnel": "auto"}
+        return attrs.evolve(thing, material=attrs.evolve(thing.material, **none))
 
     return attrs.evolve(scene, objects=tuple(map(plain, scene.objects)))
 
@@ -83,11 +91,17 @@ def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
     """
     right, up, forward = scene.camera.frame()
     lit = scene.toggles.lighting
-    textured = bool(images_of(scene))
-    unused = {name for name, used in (("image", textured), ("translucency", bool(scene.translucent))) if not used}
+    there = {
+        "image": bool(images_of(scene)),
+        "translucency": bool(scene.translucent),
+        "fresnel": any(thing.surface.dielectric for thing in scene.objects),
+        "transparency": bool(scene.transparent),
+    }
+    unused = {name for name, used in there.items() if not used}
+    later = OF_IMAGES if there["image"] or there["translucency"] else PLAIN
     return {
         "format": FORMAT,
-        "version": LATER if textured or scene.translucent else VERSION,
+        "version": OF_DIELECTRICS if there["fresnel"] else later,
         "name": scene.name,
         "conventions": {name: text for name, text in CONVENTIONS.items() if name not in unused},
         "left_out": left_out(scene),
@@ -135,9 +149,12 @@ def _said(value: Any) -> Any:
 def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
     surface = thing.surface if scene.toggles.reflections else attrs.evolve(thing.surface, gloss=0.0)
     mapped = {"uv": thing.mesh.uv.tolist()} if thing.mesh.uv is not None and surface.textures else {}
-    said = [field.name for field in attrs.fields(type(surface))]
-    if thing not in scene.translucent:
-        said.remove("translucency")
+    # An older reader is told of nothing that he would not understand.
+    unsaid = [] if thing in scene.translucent else ["translucency"]
+    unsaid += [] if surface.transparency > 0.0 else ["transparency", "tint"]
+    unsaid += [] if surface.dielectric else ["fresnel", "ior"]
+    said = [field.name for field in attrs.fields(type(surface)) if field.name not in unsaid]
+    surface = attrs.evolve(surface, fresnel="dielectric") if surface.dielectric else surface
     return {
         "name": thing.name,
         "vertices": thing.mesh.vertices.tolist(),

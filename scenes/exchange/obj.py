@@ -73,6 +73,12 @@ def left_out(described: dict[str, Any]) -> list[str]:
         if thing["material"]["gloss"] > 0.0
     ]
     found += [
+        f"objects: {thing['name']!r}: transparency = {thing['material']['transparency']!r}: MTL's glass (illum 7) is "
+        "smooth, and readers differ in what they make of it"
+        for thing in described["objects"]
+        if "transparency" in thing["material"]
+    ]
+    found += [
         f"objects: {thing['name']!r}: translucency = {thing['material']['translucency']!r}: MTL has none: all of Kd "
         "stays on its side"
         for thing in described["objects"]
@@ -114,13 +120,19 @@ def _named(name: str) -> str:
 
 def _material(thing: dict[str, Any]) -> list[str]:
     material, gloss = thing["material"], thing["material"]["gloss"]
-    lines = [f"Kd {_row([(1.0 - gloss) * color for color in material['color']])}"]
+    transparency = material.get("transparency", 0.0)
+    lines = [f"Kd {_row([(1.0 - gloss) * (1.0 - transparency) * color for color in material['color']])}"]
+    f0 = [((material["ior"] - 1.0) / (material["ior"] + 1.0)) ** 2] * 3 if "ior" in material else material["f0"]
+    if "ior" in material:
+        lines.append(f"Ni {material['ior']!r}")
+    if transparency > 0.0:
+        lines.append(f"Tf {_row([transparency * each for each in material['tint']])}")
     if gloss > 0.0:
-        lines.append(f"Ks {_row([gloss * f0 for f0 in material['f0']])}")
+        lines.append(f"Ks {_row([gloss * each for each in f0])}")
         lines.append(f"Ns {max(2.0 / material['roughness'] ** 2 - 2.0, 0.0)!r}")  # Beckmann's D is about Phong's there
     if any(thing["emission"]):
         lines.append(f"Ke {_row(thing['emission'])}")
-    return [*lines, f"illum {2 if gloss > 0.0 else 1}"]
+    return [*lines, f"illum {7 if transparency > 0.0 else 2 if gloss > 0.0 else 1}"]
 
 
 def _row(values: list[float]) -> str:

@@ -45,12 +45,23 @@ def write(scene: Scene, path: Path) -> list[str]:
 
 def left_out(described: dict[str, Any]) -> list[str]:
     """What pbrt cannot say of a scene described."""
-    found = [
-        f"objects: {thing['name']!r}: gloss = {thing['material']['gloss']!r}: the lobe is GGX's of the same alpha with "
-        "a conductor's Fresnel of the same f0, not Beckmann's with Schlick's"
-        for thing in described["objects"]
-        if thing["material"]["gloss"] > 0.0
-    ]
+    found = []
+    for thing in described["objects"]:
+        material = thing["material"]
+        of = f"objects: {thing['name']!r}"
+        if "transparency" in material:
+            found.append(f"{of}: fresnel = 'dielectric': the lobes are GGX's of the same alpha, not Beckmann's")
+        elif material["gloss"] > 0.0:
+            whose = "a dielectric's" if "fresnel" in material else "Schlick's"
+            found.append(
+                f"{of}: gloss = {material['gloss']!r}: the lobe is GGX's of the same alpha with a conductor's Fresnel "
+                f"of the same f0, not Beckmann's with {whose}"
+            )
+        if "transparency" in material and {material["gloss"], material["transparency"], *material["tint"]} != {1.0}:
+            said = f"gloss = {material['gloss']!r}, transparency = {material['transparency']!r}, tint"
+            found.append(
+                f"{of}: {said} = {material['tint']!r}: pbrt's dielectric loses nothing: all are 1 in its lobes"
+            )
     materials = [thing["material"] for thing in described["objects"]]
     if any(len(set(material["color"])) > 1 for material in materials):
         found.append(
@@ -132,15 +143,30 @@ def _material(thing: dict[str, Any]) -> list[str]:
     kind, diffuse = "diffuse", f'"rgb reflectance" [ {_values(kept)} ]'
     if share:
         kind, diffuse = "diffusetransmission", f'{diffuse} "rgb transmittance" [ {_values(crossing)} ]'
-    if material["gloss"] == 0.0:
+    # What is not diffuse: gloss, and of a transparent surface all that goes through besides.
+    lobes = 1.0 - (1.0 - material["gloss"]) * (1.0 - material.get("transparency", 0.0))
+    if lobes == 0.0:
         return [f'  Material "{kind}" {diffuse}']
-    lobe = f'"rgb reflectance" [ {_values(material["f0"])} ] "float roughness" [ {material["roughness"]!r} ]'
+    shape = f'"float roughness" [ {material["roughness"]!r} ] "bool remaproughness" [ false ]'
+    if "transparency" in material:
+        name, lobe = "dielectric", f'"float eta" [ {material["ior"]!r} ] {shape}'
+    elif "ior" in material:
+        name, lobe = "conductor", f'"rgb reflectance" [ {_values([_f0(material["ior"])] * 3)} ] {shape}'
+    else:
+        name, lobe = "conductor", f'"rgb reflectance" [ {_values(material["f0"])} ] {shape}'
+    if lobes == 1.0 and name == "dielectric":
+        return [f'  Material "dielectric" {lobe}']
     names = [_quoted(f"{thing['name']}: {part}") for part in ("diffuse", "lobe")]
     return [
         f'  MakeNamedMaterial {names[0]} "string type" [ "{kind}" ] {diffuse}',
-        f'  MakeNamedMaterial {names[1]} "string type" [ "conductor" ] {lobe} "bool remaproughness" [ false ]',
-        f'  Material "mix" "string materials" [ {" ".join(names)} ] "float amount" [ {material["gloss"]!r} ]',
+        f'  MakeNamedMaterial {names[1]} "string type" [ "{name}" ] {lobe}',
+        f'  Material "mix" "string materials" [ {" ".join(names)} ] "float amount" [ {lobes!r} ]',
     ]
+
+
+def _f0(ior: float) -> float:
+    """Reflectance of a dielectric at normal incidence, of which pbrt makes a conductor."""
+    return ((ior - 1.0) / (ior + 1.0)) ** 2
 
 
 def _quoted(text: str) -> str:

@@ -304,8 +304,8 @@ PLANTS = (
         "specular: gloss forgotten",
         GLOSSY,
         _SPECULAR,
-        "throughput = scale(mul(throughput, weight), gloss)",
-        "throughput = mul(throughput, weight)",
+        "return wi, scale(mul(throughput, weight), gloss), spread",
+        "return wi, mul(throughput, weight), spread",
     ),
     Plant(
         "specular: a bounce too few", METAL, _SPECULAR, "bounce < scene.max_bounces:", "bounce < scene.max_bounces - 1:"
@@ -441,7 +441,7 @@ PLANTS = (
     Plant(
         "smooth normals not made unit vectors",
         SMOOTH,
-        "renderer/surface.py",
+        "renderer/triangles.py",
         "    return normalize(\n        Vec3(\n            b0 * n",
         "    return (\n        Vec3(\n            b0 * n",
     ),

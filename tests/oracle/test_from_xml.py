@@ -13,7 +13,7 @@ from termwise.reference import backend
 from termwise.scenes.exchange import mitsuba, neutral
 from termwise.scenes.limits import physical
 from termwise.scenes.load import load
-from termwise.scenes.model import PointLight, Scene, SphereLight, largest
+from termwise.scenes.model import Material, PointLight, Scene, SphereLight, largest
 from termwise.scenes.strict import FileError
 from tests.scenes import small
 
@@ -138,6 +138,27 @@ def test_light_that_crosses_comes_back(tmp_path: Path):
             np.testing.assert_allclose(getattr(mine.surface, field), expected, rtol=1e-6)
 
 
+def test_glass_comes_back(tmp_path: Path):
+    """Clear, and with a diffuse part that light crosses, or that it does not; smooth glass as rough as may be."""
+    given = small("monkey")
+    glass = Material((0.5, 0.25, 0.75), 0.5, 0.25, transparency=0.75, ior=1.25, tint=(1.0, 0.5, 0.25))
+    for material in (
+        glass,
+        attrs.evolve(glass, translucency=0.25),
+        attrs.evolve(glass, gloss=1.0, color=(0.0, 0.0, 0.0), ior=0.8),
+        attrs.evolve(glass, roughness=1e-4),
+    ):
+        scene = attrs.evolve(given, objects=(attrs.evolve(given.objects[0], material=material),))
+        mitsuba.write(scene, tmp_path / "there.xml")
+        with pytest.raises(FileError, match="dielectric"):
+            load(tmp_path / "there.xml")
+        found = load(tmp_path / "there.xml", approximate=True).objects[0].material
+        for field in ("color", "gloss", "translucency", "transparency", "ior", "tint"):
+            np.testing.assert_allclose(getattr(found, field), getattr(material, field), rtol=1e-6, err_msg=field)
+        assert found.roughness == (0.25 if material.roughness == 0.25 else 0.01)
+        assert found.dielectric
+
+
 def test_gloss_comes_back_listed(tmp_path: Path):
     given = small("cornell_box")
     mitsuba.write(given, tmp_path / "there.xml")
@@ -200,7 +221,9 @@ def disk(surface: str) -> Callable[[], str]:
 # A file; the node and the feature of the message; whether something may stand for it.
 UNSAID: dict[str, tuple[Callable[[], str], str, str, bool]] = {
     "one side": (disk('<bsdf type="diffuse"/>'), "plate", "diffuse on one side", True),
-    "glass": (disk('<bsdf type="dielectric" id="glass"/>'), "plate: bsdf glass", "dielectric", False),
+    "glass": (disk('<bsdf type="dielectric" id="glass"/>'), "plate: bsdf glass", "dielectric (smooth)", True),
+    "rough glass": (disk('<bsdf type="roughdielectric"/>'), "plate", "roughdielectric (beckmann)", True),
+    "thin glass": (disk('<bsdf type="thindielectric"/>'), "plate", "thindielectric", False),
     "mirror": (disk('<bsdf type="twosided"><bsdf type="conductor"/></bsdf>'), "plate", "conductor (a mirror)", True),
     "plastic": (disk('<bsdf type="twosided"><bsdf type="plastic"/></bsdf>'), "plate", "plastic", True),
     "principled": (disk('<bsdf type="twosided"><bsdf type="principled"/></bsdf>'), "plate", "principled", True),
@@ -429,7 +452,7 @@ def test_all_that_is_refused_is_named_the_hopeless_first(tmp_path: Path):
         plain(
             plastic.format("plate")
             + plastic.format("dish")
-            + '<shape type="rectangle" id="pane"><bsdf type="dielectric"/></shape>'
+            + '<shape type="rectangle" id="pane"><bsdf type="thindielectric"/></shape>'
             + f'<shape type="cylinder" id="pipe">{TWO.format("0.5")}</shape>'
         ).replace('type="box"', 'type="gaussian"'),
     )
@@ -438,7 +461,7 @@ def test_all_that_is_refused_is_named_the_hopeless_first(tmp_path: Path):
     said = str(refused.value).removeprefix(f"{path}: ")
     parts = [part.partition(": the model has none")[0] for part in said.split("; ")]
     assert parts == [
-        "pane: dielectric",
+        "pane: thindielectric",
         "pipe: cylinder, a shape",
         "plate, dish: plastic",
         "cam: gaussian, a pixel filter",

@@ -5,6 +5,7 @@ import math
 import re
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import attrs
 import numpy as np
@@ -480,6 +481,72 @@ def test_light_that_crosses_is_said_by_each_format(tmp_path: Path):
 
     missing = [line for line in obj.write(given, tmp_path / "all.obj") if "translucency = 0.25" in line]
     assert [line.partition(":")[0] for line in missing] == ["objects", "objects"]
+
+
+GLASS = Material((0.5, 0.25, 0.75), 0.5, 0.25, transparency=0.75, ior=1.25, tint=(1.0, 0.5, 0.25))
+
+
+def test_glass_is_said_by_each_format(tmp_path: Path):
+    """With its weights, beside a diffuse part; a reader of the neutral file is told by the version."""
+    ball, shard, lamp = scene().objects
+    clear = Material(gloss=1.0, roughness=1e-4, transparency=1.0)
+    opaque = Material((0.5, 0.25, 0.75), 0.5, 0.25, ior=1.25, fresnel="dielectric")
+    objects = [attrs.evolve(each, material=material) for each, material in ((ball, GLASS), (shard, clear))]
+    other = attrs.evolve(shard, name="opaque", mesh=attrs.evolve(shard.mesh, vertices=shard.mesh.vertices + 9.0))
+    given = attrs.evolve(scene(), objects=(*objects, attrs.evolve(other, material=opaque), lamp))
+    described = neutral.describe(given)
+    assert described["version"] == 3
+    first, second, third, black = (each["material"] for each in described["objects"])
+    assert first == {
+        "color": [0.5, 0.25, 0.75], "gloss": 0.5, "roughness": 0.25, "f0": [0.04, 0.04, 0.04],
+        "transparency": 0.75, "ior": 1.25, "tint": [1.0, 0.5, 0.25], "fresnel": "dielectric",
+    }  # fmt: skip
+    assert (third["ior"], third["fresnel"]) == (1.25, "dielectric")
+    assert not {"transparency", "tint"} & {*third}
+    assert not {"transparency", "tint", "ior", "fresnel"} & {*black}
+    assert neutral.describe(neutral.diffuse(given))["version"] == 1
+
+    gltf.write(given, tmp_path / "all.glb")
+    found = chunks(tmp_path / "all.glb")
+    used = [f"KHR_materials_{each}" for each in ("ior", "specular", "transmission", "volume")]
+    assert {*used} <= {*found["extensionsUsed"]}
+    assert found["materials"][0]["extensions"] == {
+        "KHR_materials_ior": {"ior": 1.25}, "KHR_materials_specular": {"specularFactor": 0.5},
+        "KHR_materials_transmission": {"transmissionFactor": 0.75}, "KHR_materials_volume": {"thicknessFactor": 1.0},
+    }  # fmt: skip
+    surface = found["materials"][0]["pbrMetallicRoughness"]
+    assert surface == {"baseColorFactor": [1.0, 0.5, 0.25, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.5}
+
+    parsed = written(given, tmp_path)
+    smooth = {"float eta": [1.5], "float roughness": [1e-4], "bool remaproughness": [False]}
+    assert ("Material", ["dielectric"], smooth) in parsed
+    named = {arguments[0]: parameters for word, arguments, parameters in parsed if word == "MakeNamedMaterial"}
+    assert named["ball 1: lobe"]["string type"] == ["dielectric"]
+    assert named["opaque: lobe"]["string type"] == ["conductor"]
+    said = [line for line in pbrt.write(given, tmp_path / "all.pbrt") if "gloss = 0.5, transparency = 0.75" in line]
+    assert len(said) == 1
+
+    obj.write(given, tmp_path / "all.obj")
+    lines = (tmp_path / "all.mtl").read_text("utf-8").splitlines()
+    assert {"Tf 0.75 0.375 0.1875", "Ni 1.25", "illum 7"} <= {*lines}
+
+    mitsuba.write(given, tmp_path / "all.xml")
+    root = ElementTree.parse(tmp_path / "all.xml").getroot()
+    blend, pane, painted, _ = (shape.find("bsdf") for shape in root.findall("shape"))
+    assert blend is not None
+    assert pane is not None
+    assert painted is not None
+    values = {value.get("name"): value.get("value") for value in blend.iter() if value.get("value")}
+    # (1 - g) (1 - t) = 1/8 is diffuse; the lobes are larger by what is left of a blend of it.
+    assert blend.get("type") == "blendbsdf"
+    assert float(values["weight"]) == 0.875
+    assert [float(x) for x in values["specular_reflectance"].split(",")] == pytest.approx([0.5 / 0.875] * 3)
+    assert [float(x) for x in values["specular_transmittance"].split(",")] == pytest.approx(
+        np.array([0.75, 0.375, 0.1875]) / 0.875
+    )
+    assert (values["int_ior"], values["ext_ior"], values["alpha"]) == ("1.25", "1.0", "0.25")
+    assert pane.get("type") == "dielectric"
+    assert painted.get("type") == "twosided"
 
 
 def test_diffuse_is_exact_in_all_formats():

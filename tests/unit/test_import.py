@@ -97,6 +97,27 @@ def test_light_that_crosses_comes_back(tmp_path: Path):
         load(tmp_path / "there.glb")
 
 
+def test_glass_comes_back(tmp_path: Path):
+    """All that GLB says of it, where GGX's lobe may be taken for Beckmann's; without a volume it is not refracted."""
+    given = small("monkey")
+    glass = Material((0.0, 0.0, 0.0), 0.5, 0.25, transparency=1.0, ior=1.25, tint=(1.0, 0.5, 0.25))
+    given = attrs.evolve(given, objects=tuple(attrs.evolve(each, material=glass) for each in given.objects))
+    gltf.write(given, tmp_path / "there.glb")
+    with pytest.raises(FileError, match="GGX's lobe"):
+        load(tmp_path / "there.glb")
+    found = load(tmp_path / "there.glb", approximate=True)
+    assert [each.material for each in found.objects] == [glass] * len(given.objects)
+    data = (tmp_path / "there.glb").read_bytes()
+    for old, new, other in (
+        (b'"thicknessFactor":1.0', b'"thicknessFactor":0.0', attrs.evolve(glass, ior=1.0)),
+        (b'"transmissionFactor":1.0', b'"transmissionFactor":0.7', attrs.evolve(glass, transparency=0.7)),
+    ):
+        (tmp_path / "there.glb").write_bytes(data.replace(old, new))
+        assert load(tmp_path / "there.glb", approximate=True).objects[0].material == other
+    (tmp_path / "there.glb").write_bytes(data.replace(b'"transmissionFactor":1.0', b'"transmissionFactor":0.2'))
+    assert load(tmp_path / "there.glb", approximate=True).objects[0].material.transparency == 0.0
+
+
 @pytest.mark.parametrize("name", LIBRARY)
 def test_obj_comes_back_as_it_went(name: str, tmp_path: Path):
     given = neutral.diffuse(small(name))

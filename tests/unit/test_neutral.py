@@ -13,7 +13,7 @@ import pytest
 from termwise.reports.engines import asked
 from termwise.scenes.exchange.neutral import SCHEMA, describe, diffuse, left_out, write_neutral
 from termwise.scenes.load import library
-from termwise.scenes.model import Camera, Scene, Sky, Toggles
+from termwise.scenes.model import Camera, Material, Scene, Sky, Toggles
 from tests.scenes import small
 
 
@@ -36,7 +36,9 @@ def test_written_files_are_of_the_published_schema(name: str, tmp_path: Path):
 @pytest.mark.parametrize(
     ("path", "value"),
     [
-        (("version",), 3),
+        (("version",), 4),
+        (("objects", 0, "material", "transparency"), 0.5),
+        (("objects", 0, "material", "ior"), 1.5),
         (("objects", 0, "material", "translucency"), 1.5),
         (("camera", "horizontal_fov"), 180.0),
         (("objects", 0, "material", "color"), [0.5, 0.5, 1.5]),
@@ -53,6 +55,18 @@ def test_the_schema_refuses_what_is_no_scene(path: tuple[Any, ...], value: Any, 
         here = here[step]
     here[path[-1]] = value
     assert not schema().is_valid(found)
+
+
+def test_glass_is_of_the_schema(tmp_path: Path):
+    scene = small("monkey")
+    clear = Material(gloss=1.0, transparency=1.0)
+    for material in (clear, Material(gloss=1.0, fresnel="dielectric")):
+        glass = attrs.evolve(scene, objects=(attrs.evolve(scene.objects[0], material=material), *scene.objects[1:]))
+        found = written(glass, tmp_path)
+        assert found["version"] == 3
+        schema().validate(found)
+        del found["objects"][0]["material"]["ior"]
+        assert not schema().is_valid(found)
 
 
 def test_geometry_names_and_materials_are_the_scenes_own(tmp_path: Path):

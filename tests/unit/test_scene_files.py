@@ -65,6 +65,30 @@ BAD = {
     "color above 1": (GOOD + "color = [0.5, 1.5, 0.5]\n", ["color = (0.5, 1.5, 0.5)", "[0, 1]"]),
     "inf emission": (GOOD + "emission = [inf, 1.0, 1.0]\n", ["emission = (inf, 1.0, 1.0)", "[0, inf)"]),
     "translucency above 1": (GOOD + "translucency = 1.5\n", ["objects", "translucency = 1.5", "[0, 1]"]),
+    "transparency above 1": (GOOD + "transparency = 1.5\n", ["objects", "transparency = 1.5", "[0, 1]"]),
+    "index of refraction of nothing": (GOOD + "ior = 0\n", ["objects", "ior = 0", "[0.1, 10]"]),
+    "tint above 1": (GOOD + "tint = [1, 2, 1]\n", ["objects", "tint = ", "[0, 1]"]),
+    "unknown fresnel": (GOOD + 'fresnel = "metal"\n', ["objects", "fresnel = 'metal'", "'dielectric'"]),
+    "Schlick's glass": (
+        GOOD + 'transparency = 0.5\nfresnel = "schlick"\n',
+        ["objects", "fresnel = 'schlick'", "'dielectric'", "transparency = 0.5"],
+    ),
+    "a lamp of glass": (
+        GOOD + "transparency = 0.5\nemission = [1, 1, 1]\n",
+        ["objects", "'a'", "transparency = 0.5", "allowed is 0", "emission"],
+    ),
+    "transparency with normals of the face": (
+        'normals = "face"\n' + GOOD + "transparency = 0.5\n",
+        ["objects", "'a'", "transparency = 0.5", "allowed is 0", "normals = 'face'"],
+    ),
+    "transparency with rays that ignore an object": (
+        'ignore = "object"\n' + GOOD + "transparency = 0.5\n",
+        ["objects", "'a'", "transparency = 0.5", "allowed is 0", "ignore = 'object'"],
+    ),
+    "transparency with the paper's shadow": (
+        'shadows = "paper"\n' + GOOD + "transparency = 0.5\n",
+        ["objects", "'a'", "transparency = 0.5", "allowed is 0", "shadows = 'paper'"],
+    ),
     "translucency with normals of the face": (
         'normals = "face"\n' + GOOD + "translucency = 0.5\n",
         ["objects", "'a'", "translucency = 0.5", "allowed is 0", "normals = 'face'"],

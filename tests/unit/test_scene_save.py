@@ -71,6 +71,19 @@ SCENES = {
             SphereLight((0.1, 0.2, 7.0), 0.125, (3.0, 2.0, 1.0)),
         ),
     ),
+    "glass": attrs.evolve(
+        analytic.furnace(roughness=0.3, mu_o=0.5),
+        objects=(
+            analytic.plate("pane", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), Material(transparency=0.5)),
+            analytic.plate(
+                "another",
+                (0.0, 0.0, 1.0),
+                (1.0, 0.0, 0.0),
+                (0.0, 1.0, 0.0),
+                Material(ior=1.25, tint=(0.5, 0.25, 1.0), transparency=1.0, fresnel="dielectric"),
+            ),
+        ),
+    ),
     "sky's light": attrs.evolve(load("two_cubes"), ambient=Ambient(source="sky", range=3.0)),
     "empty": Scene("empty", Camera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
     "constant sky": analytic.furnace(roughness=0.3, mu_o=0.5),
