@@ -126,16 +126,6 @@ def test_a_rough_pane_in_a_furnace(variant: str, below: bool):
     np.testing.assert_allclose(found, 0.8 * np.array(glass.tint) * transmitted / eta**2, rtol=tolerance)
 
 
-@pytest.mark.parametrize("term", ["specular", "transmission"])
-def test_variants_agree_after_the_first_vertex(term: str):
-    """Chains between two rough panes: both lobes, by visible normals and over the sphere."""
-    glass = Material((0.5, 0.5, 0.5), gloss=0.6, roughness=0.6, transparency=0.7)
-    other = Object("other", Mesh.from_arrays(pane().mesh.vertices - (0.0, 0.0, 1.0), pane().mesh.faces), glass)
-    scene = seen(pane(glass), other, sky=Sky((2.0, 1.0, 0.5)), max_bounces=4)
-    found = [image(scene, term, variant, samples=1024) for variant in ("vndf", "uniform")]
-    np.testing.assert_allclose(found[1], found[0], rtol=0.1)
-
-
 def test_the_parts_of_a_surface():
     """Diffuse `color (1 - g) (1 - t)`; both sides of an opaque dielectric are alike, and its F is of ior alone."""
     half = Material(WHITE, gloss=0.25, transparency=0.5, roughness=1e-4)

@@ -205,7 +205,7 @@ TOUCHED = [
     ("max_bounces", 7, {}, "specular", None),
     ("irradiance", "E", {}, "direct specular", None),
     ("ignore", "object", {}, "ambient direct specular", None),
-    ("intersection", "paper", {}, "ambient direct specular background", ""),
+    ("intersection", "paper", {}, " ".join(TERMS), ""),
     ("name", "another", {}, "", None),
     ("exposure", 2.0, {}, "", None),
     ("objects.name", "another", {}, "", None),
