@@ -18,10 +18,11 @@ from scipy import special
 
 from termwise.reference.backend import import_mitsuba
 from termwise.renderer import warp
+from termwise.renderer.dielectric import EITHER, Interface, pdf_interface, sample_interface
 from termwise.renderer.microfacet import pdf_lobe, sample_lobe, sample_visible_normal
 from termwise.renderer.vector import Vec3
 
-TESTS = 40  # made in this file: the level 1 % is corrected for their number
+TESTS = 44  # made in this file: the level 1 % is corrected for their number
 
 
 @pytest.fixture(scope="module")
@@ -29,19 +30,22 @@ def mi() -> Any:
     return import_mitsuba()
 
 
-def chi2(mi: Any, domain: Any, sample: Callable, pdf: Callable, *, cells: int = 51, steps: int = 8) -> Any:
-    """Run one test: `sample` maps (N,) u and v to (D, N) points, `pdf` maps D arrays of length N to densities."""
+def chi2(
+    mi: Any, domain: Any, sample: Callable, pdf: Callable, *, cells: int = 51, steps: int = 8, numbers: int = 2
+) -> Any:
+    """Run one test: `sample` maps `numbers` (N,) uniforms to (D, N) points, `pdf` D arrays of length N to densities."""
     point = mi.Vector2f if isinstance(domain, mi.chi2.PlanarDomain) else mi.Vector3f
 
     def sampled(uniforms: Any) -> Any:
-        u, v = np.array(uniforms, np.float64)
         # Open interval, as our generator's.
-        return point(np.asarray(sample(u + 2.0**-33, v + 2.0**-33), np.float32))
+        return point(np.asarray(sample(*np.array(uniforms, np.float64) + 2.0**-33), np.float32))
 
     def density(points: Any) -> Any:
         return mi.Float(np.asarray(pdf(*np.array(points, np.float64)), np.float32))
 
-    test = mi.chi2.ChiSquareTest(domain, sampled, density, sample_count=200_000, res=cells, ires=steps)
+    test = mi.chi2.ChiSquareTest(
+        domain, sampled, density, sample_dim=numbers, sample_count=200_000, res=cells, ires=steps
+    )
     test.accepted = test.run(significance_level=0.01, test_count=TESTS, quiet=True)
     return test
 
@@ -95,6 +99,23 @@ def _lobe_pdf(x, y, z, wo, alpha):
     out = np.empty(len(x))
     for i in range(len(x)):
         out[i] = pdf_lobe(Vec3(x[i], y[i], z[i]), wo, alpha)
+    return out
+
+
+@numba.njit
+def _interface(u, v, choice, wo, lobes):
+    out = np.empty((3, len(u)))
+    for i in range(len(u)):
+        w, _, _ = sample_interface(EITHER, lobes, wo, u[i], v[i], choice[i])
+        out[0, i], out[1, i], out[2, i] = w.x, w.y, w.z
+    return out
+
+
+@numba.njit
+def _interface_pdf(x, y, z, wo, lobes):
+    out = np.empty(len(x))
+    for i in range(len(x)):
+        out[i] = pdf_interface(EITHER, lobes, Vec3(x[i], y[i], z[i]), wo)
     return out
 
 
@@ -174,6 +195,19 @@ def test_beckmann_lobe(mi, alpha, mu_o):
     must_accept(chi2(mi, domain, sample, lambda x, y, z: _lobe_pdf(x, y, z, wo, alpha), cells=cells, steps=steps))
     wider = chi2(mi, domain, sample, lambda x, y, z: _lobe_pdf(x, y, z, wo, 1.3 * alpha), cells=cells, steps=steps)
     assert not wider.accepted
+
+
+@pytest.mark.parametrize(("alpha", "mu_o", "eta"), [(0.2, 0.9, 1.5), (0.15, 0.98, 1 / 1.5)])
+def test_dielectric(mi, alpha, mu_o, eta):
+    """Both lobes at once, from either side, one of them chosen by F; that of another index is rejected."""
+    wo = view(mu_o)
+    lobes = Interface(alpha, eta, 0.8, Vec3(0.5, 0.7, 0.2))
+    domain = mi.chi2.SphericalDomain()
+    sample = lambda u, v, choice: _interface(u, v, choice, wo, lobes)  # noqa: E731
+    options = {"cells": 101, "steps": 12, "numbers": 3}
+    must_accept(chi2(mi, domain, sample, lambda x, y, z: _interface_pdf(x, y, z, wo, lobes), **options))
+    other = lobes._replace(eta=1.1 * eta)
+    assert not chi2(mi, domain, sample, lambda x, y, z: _interface_pdf(x, y, z, wo, other), **options).accepted
 
 
 @pytest.mark.parametrize(("alpha", "mu_o"), SLOPES)
