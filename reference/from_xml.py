@@ -342,7 +342,7 @@ def _over_diffuse(mi: Any, found: Import, name: str, node: _Node, glass: Materia
     if (color is None and leaf is None) or share is None:
         raise found.refuse(name, f"a blend of {node.plugin} and glass")
     share = _color(share)[0]
-    gloss, transparency = share * glass.gloss, share * glass.transparency
+    gloss, transparency = share * largest(glass.gloss), share * glass.transparency
     left = (1.0 - gloss) * (1.0 - transparency)
     shown = np.array(leaf.color if leaf is not None else _color(color)) * ((1.0 - share) / left if left else 0.0)
     if (shown > 1.0 + _TINY).any():

@@ -112,7 +112,7 @@ class _Image:
                 else textures.read_number(path, self.encoding, self.channel)
             )
             texture = Texture(texels, self.wrap)
-            model.Material(**{name: texture})  # where its texels are refused, the file is named
+            model.Material(**cast(Any, {name: texture}))  # where its texels are refused, the file is named
             return texture
         except ValueError as error:
             raise ValueError(f"{name} = {self.file!r}: {str(error).removeprefix(f'{name}: ')}") from None
@@ -136,7 +136,7 @@ class _Placed:
     transparency: float = model.Material().transparency
     ior: float = model.Material().ior
     tint: model.Color = model.Material().tint
-    fresnel: Literal["auto", "schlick", "dielectric"] = model.Material().fresnel
+    fresnel: model.Fresnel = model.Material().fresnel
     emission: model.Color = attrs.field(default=model.BLACK, validator=model.non_negative)
 
     def __attrs_post_init__(self) -> None:
@@ -149,12 +149,12 @@ class _Placed:
 
     def material(self, folder: Path) -> model.Material:
         """The material with its images."""
-        read = (
-            (name, value.read(folder, name) if isinstance(value, _Image) else value)
+        read: dict[str, Any] = {
+            name: value.read(folder, name) if isinstance(value, _Image) else value
             for name, value in self.looks().items()
-        )
+        }
         try:
-            return model.Material(**dict(read))
+            return model.Material(**read)
         except ValueError as error:
             raise ValueError(f"objects: {self.name!r}: {error}") from None
 

@@ -11,7 +11,7 @@ import hashlib
 import math
 import numbers
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal, cast, get_args
 
 import attrs
 import numpy as np
@@ -139,8 +139,11 @@ def least(value: Any) -> Any:
     return value.low if value.channels > 1 else value.low[0]
 
 
+Fresnel = Literal["auto", "schlick", "dielectric"]
+
+
 def _fresnel(_instance: Any, attribute: attrs.Attribute, value: Any) -> None:
-    if value not in ("auto", "schlick", "dielectric"):
+    if value not in get_args(Fresnel):
         _refuse(attribute, value, "'auto', 'schlick' or 'dielectric'")
 
 
@@ -184,7 +187,7 @@ class Material:
     transparency: float = attrs.field(converter=_number, default=0.0, validator=unit_interval)
     ior: float = attrs.field(converter=_number, default=1.5, validator=in_range(0.1, 10.0))
     tint: Color = attrs.field(converter=_triple, default=(1.0, 1.0, 1.0), validator=unit_interval)
-    fresnel: Literal["auto", "schlick", "dielectric"] = attrs.field(default="auto", validator=_fresnel)
+    fresnel: Fresnel = attrs.field(default=cast(Fresnel, "auto"), validator=_fresnel)
 
     def __attrs_post_init__(self) -> None:
         """Refuse what a transparent surface cannot have."""

@@ -91,12 +91,12 @@ def _lit_by(described: dict[str, Any], kind: str) -> bool:
     return any(light["type"] == kind for light in described["lights"])
 
 
-def _diffuse(material: dict[str, Any]) -> bool:
+def _reflects_diffusely(material: dict[str, Any]) -> bool:
     return any(material["color"]) and material["gloss"] < 1.0 and material.get("transparency", 0.0) < 1.0
 
 
 FEATURES: dict[str, Callable[[dict[str, Any]], bool]] = {
-    "diffuse": lambda d: any(_diffuse(o["material"]) for o in d["objects"]),
+    "diffuse": lambda d: any(_reflects_diffusely(o["material"]) for o in d["objects"]),
     "glossy": lambda d: any(o["material"]["gloss"] > 0 for o in d["objects"]),
     "translucent": lambda d: any("translucency" in o["material"] for o in d["objects"]),
     "dielectric": lambda d: any("fresnel" in o["material"] for o in d["objects"]),

@@ -10,7 +10,7 @@ import attrs
 
 from termwise.renderer.terms import VARIANTS
 from termwise.reports.live.state import State, Steps
-from termwise.scenes.model import Ambient, Light, Material, Photons, Scene, Sky
+from termwise.scenes.model import Ambient, Fresnel, Light, Material, Photons, Scene, Sky
 from termwise.scenes.terms import TERMS
 from termwise.scenes.textures import Wrap
 
@@ -177,11 +177,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                     Input((*material, "transparency"), "transparency", "", "share that goes through", 0.0, 1.0),
                     Input((*material, "ior"), "index of refraction", "", "inside over outside", 1.0, 3.0),
                     *_triple((*material, "tint"), "tint", "", "of what goes through", "RGB", high=1.0),
-                    Input(
-                        (*material, "fresnel"),
-                        "F is that of",
-                        choices=get_args(attrs.fields_dict(Material)["fresnel"].type),
-                    ),
+                    Input((*material, "fresnel"), "F is that of", choices=get_args(Fresnel)),
                 ],
             )
 

@@ -635,7 +635,7 @@ def test_one_pixel_and_one_photon(busy):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"term": "glow"}, "term = 'glow': allowed are ambient, direct, specular, background"),
+        ({"term": "glow"}, "term = 'glow': allowed are ambient, direct, specular, transmission, background"),
         ({"variant": "best"}, "variant = 'best' of ambient: allowed are cosine, uniform, paper, paper-loop, constant"),
         ({"samples": 0}, "samples = 0: allowed is an integer of at least 1"),
         ({"samples": -4}, "samples = -4: allowed is an integer of at least 1"),

@@ -11,6 +11,7 @@ import pytest
 
 from termwise.reports import cli
 from termwise.reports.results.exr import read_exr, write_exr
+from termwise.scenes.terms import TERMS
 
 SCENE = """
 [camera]
@@ -239,7 +240,7 @@ def test_render_writes_its_terms_and_their_sum(run: Command):
     assert outcome.status == 0
     result = json.loads(outcome.output)
     parts = read_exr(Path("out/render/scene.exr"))
-    assert list(parts) == ["ambient", "direct", "specular", "background", "total"]
+    assert list(parts) == [*TERMS, "total"]
     assert all(image.shape == (4, 5, 3) for image in parts.values())
     assert parts["ambient"].any()
     np.testing.assert_array_equal(parts["total"], parts["ambient"])  # no light, no gloss, no sky

@@ -536,7 +536,7 @@ def test_glass_is_said_by_each_format(tmp_path: Path):
     assert blend is not None
     assert pane is not None
     assert painted is not None
-    values = {value.get("name"): value.get("value") for value in blend.iter() if value.get("value")}
+    values = {value.attrib["name"]: value.attrib["value"] for value in blend.iter() if "value" in value.attrib}
     # (1 - g) (1 - t) = 1/8 is diffuse; the lobes are larger by what is left of a blend of it.
     assert blend.get("type") == "blendbsdf"
     assert float(values["weight"]) == 0.875

@@ -28,7 +28,7 @@ from termwise.scenes.terms import TERMS, TermImage
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"term": "total"}, "term = 'total': allowed are ambient, direct, specular, background"),
+        ({"term": "total"}, "term = 'total': allowed are ambient, direct, specular, transmission, background"),
         ({"term": None}, "term = None: allowed are ambient"),
         ({"term": ["ambient"]}, r"term = \['ambient'\]: allowed are ambient"),
         ({"factor": -1}, r"factor = -1.0: allowed is a number in \[0, inf\)"),
