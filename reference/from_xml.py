@@ -379,7 +379,7 @@ def _glass(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: st
     gloss, transparency = (float(each.max()) for each in colors)
     if np.ptp(colors[0]) > 0.0:
         found.instead(name, "specular_reflectance of a colour", "its largest channel")
-    alpha = _color(parameters["alpha"])[0] if rough else MIRROR
+    alpha = _color(parameters["alpha.value"])[0] if rough else MIRROR
     tint = _color(colors[1] / transparency) if transparency > 0.0 else (1.0, 1.0, 1.0)
     ior = _color(parameters["eta"])[0]
     return Material(
