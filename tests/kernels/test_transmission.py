@@ -72,6 +72,17 @@ def test_glass_in_a_furnace_is_not_seen(ior: float):
     np.testing.assert_allclose(specular + transmission, 1.0, rtol=1e-3)
 
 
+def test_glass_in_glass_is_not_seen_either():
+    """An inner block of an index over that of the outer one, and a bubble."""
+    outer = slab(wide=2.0, deep=2.0)
+    inner = creation.box(extents=(0.8, 0.8, 0.8)).vertices - (0.0, 0.0, 0.9)
+    for ior in (1.2, 1 / 1.5):
+        within = Object("inner", Mesh.from_arrays(inner, outer.mesh.faces), attrs.evolve(GLASS, ior=ior))
+        scene = seen(outer, within, sky=Sky(WHITE))
+        parts = [image(scene, term, samples=8, without=("roulette",)) for term in TERMS[2:4]]
+        np.testing.assert_allclose(sum(parts), 1.0, rtol=1e-3)
+
+
 @pytest.mark.parametrize("gloss", [0.0, 1.0])
 def test_what_is_behind_a_slab(gloss: float):
     """R of a passage is lost; with reflections a part of it comes through later: (1 - R)², or that over 1 - R².
