@@ -201,7 +201,7 @@ def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
         center, radius = _ball(found, node, matrix)
         flipped ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)  # a mirrored sphere looks inwards
         if any(emission) and not flipped:
-            if any(largest(material.color)) or largest(material.gloss) > 0.0:
+            if any(largest(material.color)) or largest(material.gloss) > 0.0 or material.transparency > 0.0:
                 found.instead(node.name, "a lamp that reflects", "a black one")
             found.lights.append(SphereLight(tuple(center.tolist()), radius, emission))
             return

@@ -76,13 +76,16 @@ def work(measured: list[Cell]) -> list[dict[str, Any]]:
 def _gains(subject: Subject) -> dict[str, dict[str, float]]:
     """Q of each specular variant on each glossy object, as if all light met this object (see `closed_forms.gain`).
 
-    Of objects of one gloss and one roughness: where an image stands in their place there is no one number.
+    Of objects of one gloss and one roughness, where an image stands in their place there is no one number; and of
+    Schlick's reflectance: no variant has gains of a dielectric's.
     """
     scene = subject.scene
     glossy = [
         thing
         for thing in scene.objects
-        if scene.specular_weight(thing.surface) > 0.0 and not {"gloss", "roughness"} & {*thing.surface.textures}
+        if scene.specular_weight(thing.surface) > 0.0
+        and not {"gloss", "roughness"} & {*thing.surface.textures}
+        and not thing.surface.dielectric
     ]
     return {
         variant.name: {thing.name: closed_forms.gain(variant.limit(scene, 1), thing.surface) for thing in glossy}

@@ -13,6 +13,7 @@ import numpy as np
 
 from termwise.scenes.model import (
     BLACK,
+    BLACK_SURFACE,
     Ambient,
     Camera,
     Color,
@@ -142,8 +143,10 @@ class Import:
         """
         mesh = self._mesh(name, points, faces, uv)
         if any(emission):
-            if any(largest(material.color)) or largest(material.gloss) > 0.0:
+            if any(largest(material.color)) or largest(material.gloss) > 0.0 or material.transparency > 0.0:
                 self.instead(name, "a lamp that reflects", "a black one")
+            if material.transparency > 0.0:
+                material = BLACK_SURFACE
         elif normals is not None:
             mesh = self._smooth(name, mesh, normals)
         self.objects.append(Object(self.name(name), mesh, material, emission))

@@ -256,6 +256,23 @@ UNSAID: dict[str, tuple[Callable[[dict[str, Any]], object], str, str, bool]] = {
     ),
     "unlit": (lambda d: monkey(d)["extensions"].update(KHR_materials_unlit={}), "monkey", "KHR_materials_unlit", False),
     "blended": (lambda d: monkey(d).update(alphaMode="BLEND"), "monkey", "alphaMode BLEND", True),
+    "glass": (
+        lambda d: monkey(d)["extensions"].update(KHR_materials_transmission={"transmissionFactor": 1.0}),
+        "monkey",
+        "glass without a volume",
+        True,
+    ),
+    "a lamp of glass": (
+        lambda d: monkey(d).update(
+            emissiveFactor=[1, 0, 0],
+            doubleSided=False,
+            pbrMetallicRoughness={"baseColorFactor": [0, 0, 0, 1], "metallicFactor": 0},
+            extensions={"KHR_materials_transmission": {"transmissionFactor": 1.0}},
+        ),
+        "monkey",
+        "a lamp that reflects",
+        True,
+    ),
     "a lamp of two sides": (lambda d: monkey(d).update(emissiveFactor=[1, 0, 0]), "monkey", "two sides", True),
     "normal map": (lambda d: monkey(d).update(normalTexture={"index": 0}), "monkey", "normalTexture", True),
     "spot light": (lambda d: light(d).update(type="spot"), "light 0", "square of a cosine", True),
