@@ -28,8 +28,8 @@ PASSES = 4096  # passes that one replicate may use without sharing random number
 UNLOADED = (*PHOTONS, "scope", "rings", "shadows", "intersection")
 """Fields of a scene that Mitsuba never sees: a limit says them in their place, or there is no such choice."""
 # Those that full transport is split into, see `physical.PARTS`: of any other its share is the term itself.
-_SPLIT: tuple[Term, ...] = ("ambient", "direct", "specular")
-_SECOND: tuple[Term, ...] = ("ambient", "direct", "specular")
+_SPLIT: tuple[Term, ...] = ("ambient", "direct", "specular", "transmission")
+_SECOND: tuple[Term, ...] = ("ambient", "direct", "specular", "transmission")
 
 
 def render(
@@ -96,7 +96,7 @@ def replicate(scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int
 def replicate_parts(
     scene: Scene, limit: Limit, *, spp: int, seed: int, replicate: int = 0, by_second: bool = False
 ) -> dict[Term, np.ndarray]:
-    """All images that one render of a `shared` limit gives, factor 1: three for physical transport, else one.
+    """All images that one render of a `shared` limit gives, factor 1: four for physical transport, else one.
 
     `by_second`: by another integrator that means the same, with random numbers of its own; see `has_second`.
     """

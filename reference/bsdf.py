@@ -23,8 +23,8 @@ TINY = 1e-20  # keeps divisions defined in lanes that are masked out afterwards
 
 
 def smith_g1(v: Any, alpha: Any) -> Any:
-    """Masking of the Beckmann distribution in the local direction `v`."""
-    a = dr.maximum(dr.rcp(dr.maximum(alpha * mi.Frame3f.tan_theta(v), TINY)), TINY)
+    """Masking of the Beckmann distribution in the local direction `v`, on either side of the surface."""
+    a = dr.maximum(dr.rcp(dr.maximum(alpha * dr.abs(mi.Frame3f.tan_theta(v)), TINY)), TINY)
     masked = 2.0 / (1.0 + dr.erf(a) + dr.exp(-a * a) / (a * dr.sqrt(dr.pi)))
     return dr.select(a < 10.0, masked, 1.0)  # exp and 1/a leave float32 there, where 1 - G1 < 1e-44
 

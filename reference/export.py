@@ -28,6 +28,7 @@ SOURCES = (
     "kernel_reference.py",
     "density.py",
     "bsdf.py",
+    "dielectric.py",
     "distant.py",
     "sky.py",
     "share.py",

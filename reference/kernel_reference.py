@@ -1,7 +1,8 @@
 """Reference of a photon density estimate: `color (1 - g) / π · mean over maps of E(x)`, E by a kernel or the k nearest.
 
-For `direct` x is what the camera sees; for `specular` it is a vertex of a chain, as in `terms.specular`, whose sky and
-ambient light are added.
+For `direct` x is what the camera sees; for `specular` and `transmission` it is a vertex of a chain, as in
+`terms.specular`, whose sky and ambient light are added. Photons scatter on the diffuse part alone: what is transparent
+is to them what its diffuse part is.
 
 What the kernel does to E is part of what is meant, so the reference is the same estimate made by other means: photons
 leave Mitsuba's emitters (`sample_ray`; those of a light that is the same all around, into a cone about all faces), fly
@@ -39,6 +40,7 @@ POINTS = 2**14  # gathered together: bounds memory
 MIDDLE = np.full((1, 4), 0.5)
 GRID = np.tile(np.stack(np.meshgrid(*2 * [(np.arange(64) + 0.5) / 64]), axis=-1).reshape(-1, 2), 2)
 EVEN = 0.1  # length of the mean direction below which a light is one that goes all around
+_CHAINED = "specular", "transmission"
 
 
 class Emitter(NamedTuple):
@@ -142,8 +144,8 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
 
 
 def _check(description: dict[str, Any], limit: dict[str, Any]) -> None:
-    if limit["term"] not in ("direct", "specular"):
-        raise ValueError(f"term = {limit['term']!r} with a photon kernel: allowed is 'direct' or 'specular'")
+    if limit["term"] not in ("direct", *_CHAINED):
+        raise ValueError(f"term = {limit['term']!r} with a photon kernel: allowed are direct, {', '.join(_CHAINED)}")
     wanted = {"ignore": "face", "normals": "viewer", "scope": "all"}
     for name, value in wanted.items():
         found = limit[name] if name in limit else description[name]
@@ -153,7 +155,7 @@ def _check(description: dict[str, Any], limit: dict[str, Any]) -> None:
 
 def _rest(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> Any:
     """What no photon stands for: first hits that are not stored, the sky and ambient light of a chain."""
-    if limit["term"] == "specular":
+    if limit["term"] in _CHAINED:
         estimate, rays = specular.estimator(loaded, limit), CHAINS
     elif limit["kernel"]["stored"] == "scattered" and loaded.description["has_lights"]:
         straight = limit | {"scope": "first-hit"}
@@ -168,12 +170,13 @@ def _sights(loaded: Any, limit: dict[str, Any], maps: int, seed: int) -> Callabl
     """Number of a map -> its rays; over the maps they are spread in the pixel."""
     camera = loaded.description["camera"]
     width, height = camera["resolution"]
-    chains = CHAINS if limit["term"] == "specular" else 1
+    chained = limit["term"] in _CHAINED
+    chains = CHAINS if chained else 1
     share = dr.opaque(mi.Float, 1.0 / chains)
     pixel = np.repeat(np.arange(width * height), chains)
     index = np.tile(np.arange(chains), width * height)
     count, shift = (dr.opaque(mi.UInt32, value) for value in (maps * chains, seed))
-    follow = specular.segments(loaded, limit, specular.lobes(loaded, limit)) if limit["term"] == "specular" else None
+    follow = specular.segments(loaded, limit, specular.lobes(loaded, limit)) if chained else None
 
     def sights(number: int) -> Sights:
         sampler = mi.load_dict({"type": "independent"})

@@ -96,7 +96,8 @@ def vertex(scene: Any, si: Any, sampler: Any, active: Any) -> tuple[Any, Any, An
     shining = active & (emitter != None)  # noqa: E711  a lane-wise comparison of pointers
     if not idle(shining):
         chance = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), shining)
-        share = _power_heuristic(bs.pdf, chance)
+        alone = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        share = dr.select(alone, 1.0, _power_heuristic(bs.pdf, chance))
         color += dr.select(shining, weight * emitter.eval(met, shining) * share, 0.0)
     return color, weight, ray, met, active
 
@@ -121,9 +122,11 @@ def check_end(loaded: Any, role: str) -> None:
     camera = loaded.description["camera"] | {"resolution": [side, side]}
     share = float(pixel_means(lambda s: (_left(scene, s.ray, s.sampler),), camera, spp=spp, seed=0).mean())
     if share > TAIL:
+        through = loaded.description["transparent"] and role in ("physical", "physical-sky", "physical-lights")
+        fields, sent = ("color, transparency", "reflected or let through") if through else ("color", "reflected")
         raise ValueError(
-            f"objects: color: up to {reflected:g} of the light is reflected, and {100 * share:.3g} % of it is left "
-            f"after {LONGEST} reflections: allowed is less where no light gets out"
+            f"objects: {fields}: up to {reflected:g} of the light is {sent}, and {100 * share:.3g} % of it is left "
+            f"after {LONGEST} surfaces: allowed is less where no light gets out"
         )
     loaded.ending.add(role)
 

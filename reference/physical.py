@@ -2,7 +2,8 @@
 
 - ambient: diffuse lobe first, and the path ends on the sky;
 - direct: diffuse lobe first, and it ends on a light;
-- specular: specular lobe first.
+- specular: specular lobe first;
+- transmission: what goes through a transparent surface first.
 
 Light is linear, so "ends on" is a scene with that light alone. At the camera vertex one lobe is lit, as vertices of
 `paths` are; what the lobe's direction meets is lit by `paths`. All lights are visible to every lobe, the ambient light
@@ -22,15 +23,17 @@ PARTS = {
     "ambient": ("diffuse", "physical-sky"),
     "direct": ("diffuse", "physical-lights"),
     "specular": ("specular", "physical"),
+    "transmission": ("transmission", "physical"),
 }
 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
-    """Samples -> (ambient, direct, specular); unbiased."""
+    """Samples -> (ambient, direct, specular, transmission); unbiased."""
     parts = []
     for lobe, light in PARTS.values():
-        lit = loaded.scenes[light]
-        parts.append((loaded.scenes[lobe], lit, paths.reflected(loaded, light) if lit.emitters() else None))
+        first, lit = loaded.scenes.get(lobe), loaded.scenes[light]
+        shown = first is not None and lit.emitters()
+        parts.append((first, lit, paths.reflected(loaded, light) if shown else None))
 
     def estimate(samples: Samples) -> tuple[Any, ...]:
         images = []

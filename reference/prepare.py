@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from . import bsdf, distant, film, kernel_reference, physical, second, share, sky
+from . import bsdf, dielectric, distant, film, kernel_reference, physical, second, share, sky
 from .wavefront import Estimator, pixel_means
 
 
@@ -31,6 +31,7 @@ class Loaded:
         loaded later would have the kernels of the earlier ones compiled again.
         """
         bsdf.register()
+        dielectric.register()
         sky.register()
         share.register()
         distant.register()

@@ -2,8 +2,10 @@
 
 - ambient: directions uniform on the hemisphere, `2 mu hit(w)`, nearest hits in the place of occlusion rays;
 - direct: paths that light sampling alone lights, in the place of two strategies, with a roulette that begins elsewhere;
-- specular: directions from an even mixture of cosine and lobe, `f mu / ((p_lobe + mu / pi) / 2)`, in the place of the
-  lobe's own weight, and the second integrators above at the vertices.
+- specular, transmission: directions from an even mixture of cosine and lobe, `f mu / ((p_lobe + mu / pi) / 2)`, in
+  the place of the lobe's own weight, and the second integrators above at the vertices. Where a surface is transparent,
+  the cosine is that of either side, and has half the density. What single precision gives one direction, which no
+  cosine meets, keeps its weight.
 
 Which limits have one says `reference.has_second`; the others are held by closed forms in the tests.
 """
@@ -22,7 +24,7 @@ FAINT = 0.5  # the throughput below which the roulette plays: another than that 
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
     """Samples -> (term,); unbiased."""
-    if limit["term"] == "specular":
+    if limit["term"] in ("specular", "transmission"):
         parts = [(limit["ambient"], _ambient(loaded, limit)), (1.0, _direct(loaded, limit))]
         return specular.gathered(specular.segments(loaded, limit, _mixture(loaded, limit)), parts)
     radiance = {"ambient": _ambient, "direct": _direct}[limit["term"]](loaded, limit)
@@ -70,14 +72,26 @@ def _mixture(loaded: Any, limit: dict[str, Any]) -> Any:
     """(si, point, sampler, active) -> local direction and weight of one sample of `k g S`."""
     context = mi.BSDFContext()
     factor = dr.opaque(mi.Float, limit["lobe"])
+    transparent = loaded.description["transparent"]
 
     def sample(si: Any, point: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         bsdf = si.bsdf()
-        by_lobe, _ = bsdf.sample(context, si, sampler.next_1d(active), point, active)
+        by_lobe, weight = bsdf.sample(context, si, sampler.next_1d(active), point, active)
         cosine = rays.side(loaded, si) * mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
-        wo = dr.select(sampler.next_1d(active) < 0.5, by_lobe.wo, cosine)
+        sides = 1.0
+        if transparent:
+            cosine.z = dr.select(sampler.next_1d(active) < 0.5, -cosine.z, cosine.z)
+            sides = 2.0
+        chosen = sampler.next_1d(active) < 0.5
+        wo = dr.select(chosen, by_lobe.wo, cosine)
         value, density = bsdf.eval_pdf(context, si, wo, active)
-        density = 0.5 * (density + dr.abs(wo.z) * dr.inv_pi)
-        return wo, dr.select(density > 0.0, factor * value / density, 0.0)
+        density = 0.5 * (density + dr.abs(wo.z) * (dr.inv_pi / sides))
+        mixed = dr.select(density > 0.0, factor * value / density, 0.0)
+        if transparent:
+            # A reflected direction below the surface is no sample of what goes through it.
+            astray = chosen & dr.all(weight == 0.0)
+            alone = chosen & mi.has_flag(by_lobe.sampled_type, mi.BSDFFlags.Delta)
+            mixed = dr.select(astray, 0.0, dr.select(alone, 2.0 * weight, mixed))
+        return wo, mixed
 
     return sample

@@ -32,7 +32,20 @@ from termwise.scenes.model import (
 )
 from termwise.scenes.textures import Texture, downwards, of_two_at_least
 
-Role = Literal["color", "diffuse", "ambient", "direct", "specular", "physical-lights", "physical-sky", "physical"]
+Role = Literal[
+    "color",
+    "diffuse",
+    "ambient",
+    "direct",
+    "specular",
+    "physical-lights",
+    "physical-sky",
+    "physical",
+    "transmission",
+    "chain",
+]
+TRANSPARENT: tuple[Role, ...] = "transmission", "chain"
+"""Roles that a scene without a transparent surface has no need of: the one would be black, the other `specular`."""
 
 MANY = 64  # objects beyond which those of one look are one shape
 SIZE = 100.0  # the largest side of the canonical bounding box is in (SIZE / 2, SIZE]
@@ -102,10 +115,15 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "ignore": scene.ignore,
         "normals": scene.normals,
         "translucent": bool(scene.translucent),
-        "max_bounces": scene.max_bounces if scene.toggles.reflections else 0,
+        "transparent": bool(scene.transparent),
+        "max_bounces": scene.max_bounces if scene.toggles.reflections or scene.transparent else 0,
         "has_lights": scene.has_lights,
+        "diffuse": [
+            *(list(scene.diffuse_weight(thing.surface)) for thing in shapes),
+            *([0.0] * 3 for _ in scene.spheres),
+        ],
         "varying": [list(scene.diffuse_weight(thing.surface)) if thing.surface.textures else None for thing in shapes],
-        "reflected": {role: _reflected(scene, role) for role in get_args(Role)},
+        "reflected": {role: _reflected(scene, role) for role in _roles(scene)},
         "light_centres": [
             [canonical.points(centre).tolist(), *_place(parts, thing, len(scene.objects))]
             for centre, thing in scene.light_centres
@@ -116,8 +134,12 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
             for radiance in (*(thing.emission for thing in shapes), *(sphere.radiance for sphere in scene.spheres))
         ],
         "parts": parts,
-        "scenes": {role: _scene(scene, shapes, role, canonical) for role in get_args(Role)},
+        "scenes": {role: _scene(scene, shapes, role, canonical) for role in _roles(scene)},
     }
+
+
+def _roles(scene: Scene) -> list[Role]:
+    return [role for role in get_args(Role) if scene.transparent or role not in TRANSPARENT]
 
 
 def gathered(scene: Scene) -> tuple[tuple[Object, ...], list[list[list[int]]]]:
@@ -168,11 +190,13 @@ def _place(parts: list[list[list[int]]], thing: int, objects: int) -> tuple[int,
 
 
 def _reflected(scene: Scene, role: Role) -> float:
-    """The largest share of light, in any channel, that a surface of a role throws back, or a bound of it."""
+    """The largest share of light, in any channel, that a surface of a role sends on, or a bound of it."""
     glossy = role not in ("color", "diffuse", "ambient", "direct")
+    surfaces = [thing.surface for thing in scene.objects]
+    # What is not reflected goes through: the larger of the two bounds both.
     shares = [
-        max(scene.diffuse_weight(thing.surface)) + glossy * scene.specular_weight(thing.surface)
-        for thing in scene.objects
+        max(scene.diffuse_weight(each)) + glossy * max(scene.specular_weight(each), *scene.transmission_weight(each))
+        for each in surfaces
     ]
     return max(shares, default=0.0)
 
@@ -295,19 +319,58 @@ def _bsdf(scene: Scene, material: Material, role: Role) -> dict[str, Any]:
     """The lobe or lobes of a role on both sides, their weights inside; black where the weight is 0."""
     if role == "color":
         return _diffuse(material, _color(material.color))
-    gloss = scene.specular_weight(material)
-    alpha, factor = _number(material.roughness), _number(material.gloss if scene.toggles.reflections else 0.0)
-    lobe = {"type": "cook_torrance", "alpha": alpha, "f0": list(material.f0), "factor": factor}
-    if role == "specular":
-        return _twosided(lobe if gloss > 0 else BLACK_BSDF)
-    if role in ("diffuse", "ambient", "direct") or gloss == 0:
+    if role in ("diffuse", "ambient", "direct"):
         return _diffuse(material, _diffuse_part(scene, material))
-    diffuse, lobe = _color(material.color), lobe | {"factor": 1.0}
+    if material.transparency > 0.0:
+        return _transparent(scene, material, role)
+    gloss = scene.specular_weight(material)
+    if role in ("specular", "transmission", "chain"):
+        return _twosided(_lobe(scene, material) if gloss > 0 and role != "transmission" else BLACK_BSDF)
+    if gloss == 0:
+        return _diffuse(material, _diffuse_part(scene, material))
+    factor = _number(material.gloss)
+    diffuse, lobe = _color(material.color), _lobe(scene, material) | {"factor": 1.0}
     if material.translucency > 0.0:  # each part says both sides itself
         parts = {"first": _diffuse(material, diffuse), "second": _twosided(lobe)}
         return {"type": "blendbsdf", "weight": factor, **parts}
     first = {"type": "diffuse", "reflectance": diffuse}
     return _twosided({"type": "blendbsdf", "weight": factor, "first": first, "second": lobe})
+
+
+def _lobe(scene: Scene, material: Material) -> dict[str, Any]:
+    """The lobe of an opaque surface, seen from outside."""
+    described = {
+        "alpha": _number(material.roughness),
+        "factor": _number(material.gloss if scene.toggles.reflections else 0.0),
+    }
+    if material.dielectric:
+        return _dielectric(material) | described
+    return {"type": "cook_torrance", "f0": list(material.f0)} | described
+
+
+def _dielectric(material: Material) -> dict[str, Any]:
+    return {"type": "microfacet_dielectric", "eta": material.ior, "transparency": 0.0, "tint": list(material.tint)}
+
+
+def _transparent(scene: Scene, material: Material, role: Role) -> dict[str, Any]:
+    """What a transparent surface does to light but for the diffuse part, in full transport with it.
+
+    From within its index is the inverse one: it says both sides itself.
+    """
+    gloss, through = scene.specular_weight(material), material.transparency
+    lobes = _dielectric(material) | {"alpha": material.roughness}
+    if role in ("specular", "transmission", "chain"):
+        factors = {
+            "factor": 0.0 if role == "transmission" else gloss,
+            "transparency": 0.0 if role == "specular" else through,
+        }
+        return lobes | factors if any(factors.values()) else _twosided(BLACK_BSDF)
+    weight = 1.0 - (1.0 - gloss) * (1.0 - through)
+    lobes |= {"factor": gloss / weight, "transparency": through / weight}
+    if weight == 1.0:
+        return lobes
+    first = _diffuse(material, _color(material.color))
+    return {"type": "blend", "weight": weight, "first": first, "second": lobes}
 
 
 def _diffuse(material: Material, reflectance: dict[str, Any]) -> dict[str, Any]:

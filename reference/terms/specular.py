@@ -4,8 +4,14 @@ S is the integral against the Cook-Torrance lobe, of factor k (`lobe`), H agains
 (`diffuse`). A chain of up to M samples of them is traced. The sky is added where it leaves the scene; the diffuse terms
 at the vertices 1..M are estimated at one of them a chain, all as likely, with weight M: the same mean as at every
 vertex for a fraction of the work. Lights are never met: their surfaces are black and end the chain.
+
+Where a surface is transparent, S has what it lets through too at every vertex but the camera's, whose lobe says which
+term the chain is of, this or `transmission`. Vertices on clear glass have no diffuse terms, and chains have many of
+them: there the one is chosen among those that may have any, as all are passed, with their number for its weight.
 """
 
+import functools
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import rays
-from ..wavefront import Estimator, Samples
+from ..wavefront import Estimator, Samples, shape_pointer
 from . import ambient, direct, shadows
 
 
@@ -44,25 +50,26 @@ def segments(loaded: Any, limit: dict[str, Any], sample_lobes: Any) -> Any:
     """Samples -> the sky's light along a chain; and ray, weight and existence of the segment to the chosen vertex."""
     bounces = loaded.description["max_bounces"]
     dark = shadows.rule(loaded, limit, "specular")
+    first = loaded.scenes[limit["term"]]
 
     def chain(samples: Samples) -> Any:
         if bounces == 0:
             return mi.Color3f(0.0), samples.ray, mi.Color3f(0.0), mi.Bool(False)
-        color, ray, weight, active = _chain(loaded, bounces, sample_lobes, dark, samples)
-        return color, ray, weight * mi.Float(bounces), active
+        return _chain(loaded, first, bounces, sample_lobes, dark, samples)
 
     return chain
 
 
 @dr.syntax
-def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Samples) -> Any:
-    """Follow the lobes; the weight is the throughput of the chosen vertex."""
-    scene, sky_radiance = loaded.scenes["specular"], loaded.sky
+def _chain(loaded: Any, first: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Samples) -> Any:
+    """Follow the lobes, that of the camera's vertex in a scene of its own; the weight is the chosen vertex's."""
+    scene, sky_radiance = loaded.scenes.get("chain", loaded.scenes["specular"]), loaded.sky
+    transparent, black = loaded.description["transparent"], _black(loaded, scene)
     sampler = samples.sampler
     last = dr.opaque(mi.UInt32, bounces)
     chosen = dr.minimum(mi.UInt32(samples.choice * mi.Float(last)), last - 1)
     ray = mi.Ray3f(samples.ray)
-    si = scene.ray_intersect(ray)
+    si = first.ray_intersect(ray)
     active = mi.Bool(si.is_valid())
     active = dr.select(dark(si, active), False, active)
     throughput = mi.Color3f(1.0)
@@ -71,6 +78,7 @@ def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Sam
     kept_ray = mi.Ray3f(samples.ray)
     kept_weight = mi.Color3f(0.0)
     kept = mi.Bool(False)
+    lit = mi.UInt32(0)
     while active:
         point = dr.select(depth == 0, samples.lobe, sampler.next_2d(active))
         direction, weight = sample_lobes(si, point, sampler, active)
@@ -79,13 +87,28 @@ def _chain(loaded: Any, bounces: int, sample_lobes: Any, dark: Any, samples: Sam
         ray, si = rays.leave(loaded, scene, si, rays.spawn(si, si.to_world(direction)), active)
         color += throughput * sky_radiance(ray, active & (si.t == dr.inf))
         active &= si.is_valid()
-        here = active & (depth == chosen)
+        if transparent:
+            may = active & (black(si) == False)  # noqa: E712  of lanes
+            lit += dr.select(may, mi.UInt32(1), 0)
+            here = may & (sampler.next_1d(may) * mi.Float(lit) < 1.0)
+        else:
+            here = active & (depth == chosen)
         kept_ray = dr.select(here, ray, kept_ray)
         kept_weight = dr.select(here, throughput, kept_weight)
         kept |= here
         depth += 1
         active = dr.select(dark(si, active), False, active & (depth < last))
-    return color, kept_ray, kept_weight, kept
+    return color, kept_ray, kept_weight * mi.Float(lit if transparent else bounces), kept
+
+
+def _black(loaded: Any, scene: Any) -> Any:
+    """(si) -> whether what is met is black in all diffuse terms."""
+    shapes = [
+        shape_pointer(shape)
+        for shape, albedo in zip(scene.shapes(), loaded.description["diffuse"], strict=True)
+        if not any(albedo)
+    ]
+    return lambda si: functools.reduce(operator.or_, (si.shape == each for each in shapes), mi.Bool(False))
 
 
 def lobes(loaded: Any, limit: dict[str, Any]) -> Any:
@@ -94,8 +117,18 @@ def lobes(loaded: Any, limit: dict[str, Any]) -> Any:
     outgoing = limit["cosine"] == "outgoing"
     if outgoing and limit["rings"] is not None:
         raise ValueError("limit: cosine = 'outgoing' with rings: allowed is one of the two")
+    if loaded.description["transparent"]:
+        for name, plain in (("diffuse", 0.0), ("cosine", "incident"), ("rings", None)):
+            if limit[name] != plain:
+                raise ValueError(f"limit: {name} = {limit[name]!r}: allowed with a transparent surface is {plain!r}")
     context = mi.BSDFContext()
     factor = dr.opaque(mi.Float, lobe)
+
+    def scaled(si: Any, wo: Any, weight: Any) -> Any:
+        """The factor is of what is reflected."""
+        if not loaded.description["transparent"]:
+            return weight * factor
+        return weight * dr.select(si.wi.z * wo.z > 0.0, factor, 1.0)
 
     def shown(si: Any) -> Any:
         # `twosided` turns the lobe to the viewer; about the normal of a face it is 0 from behind.
@@ -103,7 +136,7 @@ def lobes(loaded: Any, limit: dict[str, Any]) -> Any:
 
     def visible_normals(si: Any, point: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         bs, weight = si.bsdf().sample(context, si, sampler.next_1d(active), point, active)
-        weight = weight * factor
+        weight = scaled(si, bs.wo, weight)
         if outgoing:
             # The view's cosine in place of the light's; the weight's G1 falls as fast as the latter.
             ratio = mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(bs.wo)

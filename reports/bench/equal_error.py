@@ -31,9 +31,10 @@ from termwise.scenes import limits
 from termwise.scenes.limits import Limit
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene, Scope
+from termwise.scenes.terms import TABLE
 
-SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
-TERMS = ("ambient", "direct", "specular")
+SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey", "glass")
+TERMS = ("ambient", "direct", "specular", "transmission")
 RUNS = 5
 RESOLUTION = 128
 # Seconds that the longest run of a setting may take, about.
@@ -142,6 +143,8 @@ def cases(scenes: tuple[str, ...], terms: tuple[str, ...], resolution: int) -> I
     for name in scenes:
         scene = attrs.evolve(load(name), resolution=(resolution, resolution))
         for term in terms:
+            if TABLE[term].absent(scene):
+                continue
             if term == "ambient":
                 variant = find("ambient")
                 yield Case(scene, None, variant, "path", variant.name, (variant, "path"))
@@ -153,7 +156,7 @@ def cases(scenes: tuple[str, ...], terms: tuple[str, ...], resolution: int) -> I
                 for each in (variant, path):
                     yield Case(scattered, "all", each, "path", each.name, (path, "path"))
             else:
-                variant = find("specular")
+                variant = find(term)
                 for chain in ("next-event", "path") if scene.scope == "all" else ("path",):
                     label = f"{variant.name}+{chain}" if scene.scope == "all" else variant.name
                     yield Case(scene, scene.scope, variant, chain, label, (variant, "path"))

@@ -6,7 +6,7 @@ A setting is a sampler and an integrator:
   for a finite range, and its `direct` asks for the nearest hit where any will do.
 - direct, `first-hit`: `direct` with n emitter samples a camera ray and none of the BSDF.
 - direct, `all`: `path` in the Lambertian twin, of any length, its roulette from the eighth vertex on or from Mitsuba's.
-- specular: the reference's chain, its diffuse terms estimated at one vertex, with n occlusion rays there.
+- specular, transmission: the reference's chain, its diffuse terms estimated at one vertex, with n occlusion rays there.
 
 Seconds are those of the kernels, by Dr.Jit's own history: `mi.render` traces its program anew at each call, and
 compiles it at the first; a frozen function (`dr.freeze`) would not. Both are kept apart. Kernels took the wall-clock
@@ -68,7 +68,7 @@ class Occlusion(mi.SamplingIntegrator):
 
 
 class Chain(mi.SamplingIntegrator):
-    """The reference's estimator of the specular term, the vertex of its diffuse terms chosen by the sampler."""
+    """The reference's estimator of a chain, the vertex of its diffuse terms chosen by the sampler."""
 
     def __init__(self, loaded: Any, limit: Limit, rays: int) -> None:
         """Take the scene of all roles, the integral, and how many occlusion rays a chain has."""
@@ -148,11 +148,11 @@ def settings(loaded: Any, limit: Limit) -> Iterator[Setting]:
         ambient = description["ambient"]
         role = "ambient"
         integrators = {f"x{n}": Occlusion(n, ambient["range"], ambient["color"]) for n in SHARED}
-    elif limit.term == "specular":
-        role = "specular"
+    elif limit.term in ("specular", "transmission"):
+        role = limit.term
         integrators = {f"x{n}": Chain(loaded, limit, n) for n in OCCLUSION}
     elif limit.term != "direct":
-        raise ValueError(f"term = {limit.term!r}: allowed are ambient, direct and specular")
+        raise ValueError(f"term = {limit.term!r}: allowed are ambient, direct, specular and transmission")
     elif limit.scope == "first-hit":
         role = "direct"
         # Each of n samples of a light that no ray meets counts fully in Mitsuba's `direct`: n times too bright.

@@ -88,7 +88,7 @@ def terms(
     Parameters
     ----------
     term
-        ambient, direct, specular; all if none.
+        ambient, direct, specular, transmission; all if none.
     runs
         Alternating runs of each side; the speed-up is their median.
     seconds

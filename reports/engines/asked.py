@@ -27,6 +27,7 @@ from termwise.scenes.model import (
     BLACK_SURFACE,
     Ambient,
     DirectionalLight,
+    Material,
     Object,
     PointLight,
     Scene,
@@ -220,11 +221,11 @@ def _term(
 
 def _diffuse(scene: Scene, things: Sequence[Object]) -> Scene:
     """The objects with their diffuse parts alone, at their weights."""
-    plain = [
-        attrs.evolve(each, material=attrs.evolve(each.material, color=scene.diffuse_weight(each.material), gloss=0.0))
-        for each in things
-    ]
-    return attrs.evolve(scene, objects=tuple(plain))
+
+    def plain(material: Material) -> Material:
+        return attrs.evolve(material, color=scene.diffuse_weight(material), gloss=0.0, transparency=0.0, fresnel=None)
+
+    return attrs.evolve(scene, objects=tuple(attrs.evolve(each, material=plain(each.material)) for each in things))
 
 
 def _odd(scene: Scene) -> str | None:

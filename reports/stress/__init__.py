@@ -21,6 +21,7 @@ from termwise.reports.stress import (
     rounding,
     shading,
     translucency,
+    transmission,
 )
 from termwise.reports.stress.row import SIDES, Row
 from termwise.reports.stress.row import measure as measure_row
@@ -33,6 +34,7 @@ GROUPS: dict[str, ModuleType] = {
     "lights": lights,
     "images": images,
     "translucency": translucency,
+    "transmission": transmission,
     "rounding": rounding,
     "garbage": garbage,
 }

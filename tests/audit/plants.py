@@ -110,6 +110,10 @@ LEAF_AMBIENT = Case("leaf", "ambient", "cosine", samples=64)
 LEAF = Case("leaf", "direct", "path", samples=256)
 LEAF_SPLIT = Case("leaf", "direct", "next-event", samples=16)
 LEAF_PHOTONS = Case("leaf", "direct", "photon-map", samples=16)
+GLASS = Case("deep glass", "transmission", "vndf", samples=256)
+GLASS_UNIFORM = Case("deep frosted glass", "transmission", "uniform", samples=2048)
+GLASS_SPECULAR = Case("deep glass", "specular", "vndf", samples=1024)
+POOL = Case("pool two_cubes", "transmission", "vndf", samples=256)
 
 _AMBIENT = "renderer/terms/ambient.py"
 _DIRECT = "renderer/terms/direct.py"
@@ -124,6 +128,7 @@ _SPHERE = "renderer/lights/sphere.py"
 _DISTANT = "renderer/lights/distant.py"
 _ARRIVING = "renderer/lights/arriving.py"
 _MATERIAL = "renderer/material.py"
+_DIELECTRIC = "renderer/dielectric.py"
 _LOBE = "renderer/microfacet.py"
 _TRACING = "renderer/photon_tracing.py"
 _TILES = "renderer/engine.py"
@@ -756,6 +761,77 @@ PLANTS = (
         _TRACING,
         "wi = scattered(scene.materials.translucency, surface, u, v)",
         "wi = scattered(0.0 * scene.materials.translucency, surface, u, v)",
+    ),
+    # Transparency.
+    Plant(
+        "transmission: radiance not squeezed, eta² forgotten",
+        POOL,
+        _DIELECTRIC,
+        "        spread = 1.0 / (eta * eta)\n",
+        "        spread = 1.0\n",
+    ),
+    Plant(
+        "transmission: inside and outside exchanged",
+        GLASS,
+        _MATERIAL,
+        "if dot(outwards, surface.normal) < 0.0:",
+        "if dot(outwards, surface.normal) >= 0.0:",
+    ),
+    Plant("transmission: no total reflection", GLASS, _DIELECTRIC, "return 0.0 if eta == 1.0 else 1.0", "return 0.0"),
+    Plant(
+        "transmission: tinted where it enters alone",
+        GLASS,
+        _DIELECTRIC,
+        "return wi, scale(interface.transmission, weight), spread",
+        "clear = max_component(interface.transmission) * weight\n"
+        "        return wi, scale(interface.transmission, weight) if eta > 1.0 else Vec3(clear, clear, clear), spread",
+    ),
+    Plant(
+        "transmission: Fresnel's of the surface in the place of the facet's",
+        POOL,
+        _DIELECTRIC,
+        "    reflected, refracted = _sent(interface, cos)\n    crosses",
+        "    reflected, refracted = _sent(interface, wo.z)\n    crosses",
+    ),
+    Plant(
+        "transmission: Fresnel's of one polarisation",
+        GLASS_SPECULAR,
+        _DIELECTRIC,
+        "return 0.5 * (parallel * parallel + across * across)",
+        "return across * across",
+    ),
+    Plant("transmission: nothing masked beyond", POOL, _DIELECTRIC, "* smith_g1(-wi.z, alpha) * spread", "* spread"),
+    Plant(
+        "transmission: refracted by the inverse index",
+        GLASS,
+        _DIELECTRIC,
+        "return mad(m, cos / eta - beyond, scale(wo, -1.0 / eta))",
+        "beyond = math.sqrt(max(0.0, _root(cos, 1.0 / eta))) * eta\n"
+        "    return mad(m, cos * eta - beyond, scale(wo, -eta))",
+    ),
+    Plant(
+        "transmission: a chain goes on through surfaces alone", GLASS, _SPECULAR, "                way = EITHER\n", ""
+    ),
+    Plant(
+        "transmission: a lobe drawn by its share, and weighed by it again",
+        GLASS,
+        _DIELECTRIC,
+        "total = reflected + refracted if way == EITHER else",
+        "total = (refracted if crosses else reflected) if way == EITHER else",
+    ),
+    Plant(
+        "transmission: uniform directions of the sphere, weighed as of half of it",
+        GLASS_UNIFORM,
+        _DIELECTRIC,
+        "solid_angle = 4.0 * math.pi if way == EITHER else 2.0 * math.pi",
+        "solid_angle = 2.0 * math.pi",
+    ),
+    Plant(
+        "transmission: the facet that refracts without the index",
+        GLASS_UNIFORM,
+        _DIELECTRIC,
+        "sum_ = add(wo, scale(wi, eta))",
+        "sum_ = add(wo, scale(wi, math.sqrt(eta)))",
     ),
     # Sky and camera.
     Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),

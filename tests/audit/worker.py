@@ -15,8 +15,9 @@ import numpy as np
 
 from termwise import renderer
 from termwise.renderer import Engine, find
+from termwise.scenes.analytic import plate
 from termwise.scenes.load import load
-from termwise.scenes.model import Ambient, Mesh, Object, PointLight, Scene, Sky
+from termwise.scenes.model import Ambient, Material, Mesh, Object, PointLight, Scene, Sky
 from termwise.scenes.textures import Texture
 
 _KEPT_BYTES = 1 << 26
@@ -96,6 +97,28 @@ def _grained(scene: Scene) -> Scene:
     return _material(gloss=Texture(values[0]), roughness=Texture(0.2 + values[1]), f0=(0.9, 0.6, 0.4))(scene)
 
 
+def _frosted(scene: Scene) -> Scene:
+    """Nothing that is transparent is smooth."""
+    rough = (
+        attrs.evolve(thing, material=attrs.evolve(thing.material, roughness=0.5))
+        if thing.material.transparency
+        else thing
+        for thing in scene.objects
+    )
+    return attrs.evolve(scene, objects=tuple(rough))
+
+
+def _pool(scene: Scene) -> Scene:
+    """Waves over all that stands on the ground, which hide the lamp; a lamp below them, and ambient light."""
+    black, white = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    water = Material(black, 1.0, 0.3, transparency=1.0, ior=1.33, tint=(0.7, 0.9, 1.0))
+    waves = plate("water", (-20.0, -20.1, 1.7), (40.0, 0.0, 0.0), (0.0, 40.2, 0.0), water)
+    lamp = PointLight((0.0, -2.5, 1.4), (3.0, 3.0, 3.0))
+    return attrs.evolve(
+        scene, objects=(*scene.objects, waves), lights=(lamp,), ambient=Ambient(white, range=0.5), max_bounces=4
+    )
+
+
 _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "glossy": _material(gloss=0.5, roughness=0.6, f0=(0.04, 0.04, 0.04)),
     "metal": _material(gloss=0.7, roughness=0.5, f0=(0.9, 0.9, 0.9)),
@@ -116,6 +139,9 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "textured": _textured,
     "grained": _grained,
     "drawn": lambda scene: attrs.evolve(scene, draw_lights=True),
+    "deep": lambda scene: attrs.evolve(scene, max_bounces=8),
+    "frosted": _frosted,
+    "pool": _pool,
     "sharp": lambda scene: attrs.evolve(scene, photons=attrs.evolve(scene.photons, kernel="epanechnikov")),
 }
 
@@ -130,8 +156,9 @@ class Case:
         surfaces, `turned`: the first object's faces look the other way, `smooth`: vertex normals, `lamps`: more
         lights, `spot`, `directional`, `sun`, `sphere`: of all lights those alone, `wide`: a wide sun, `plain` and
         `panorama`: another sky, `skylit`: the sky is the ambient light, `shadowed` and `bright`: choices of the paper,
-        `drawn`: lights are seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces,
-        `grained`: and their gloss and roughness too.
+        `drawn`: lights are seen, `deep`: longer chains, `frosted`: all glass is rough, `pool`: water over all that is
+        seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces, `grained`: and their gloss and
+        roughness too.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.

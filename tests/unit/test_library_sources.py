@@ -9,6 +9,7 @@ import tomllib
 
 import numpy as np
 import OpenEXR
+import PIL.Image
 import pytest
 import trimesh
 
@@ -145,12 +146,23 @@ def test_sky_model_agrees_with_the_cie_clear_sky(source):
     assert ours @ upper[:, 2] == pytest.approx(cie @ upper[:, 2], rel=0.1)
 
 
+def test_the_checker_is_the_script_s(source):
+    (ground,) = [thing for thing in load("glass").objects if thing.name == "ground"]
+    made = source("checker").texels()
+    (texture,) = ground.material.textures.values()
+    np.testing.assert_array_equal(np.array(PIL.Image.open(LIBRARY / "checker.png"))[..., 0], made)
+    dark, light = np.unique(texture.texels)
+    assert (dark, light) == pytest.approx((0.0648, 0.6724), abs=5e-4)
+    assert (texture.texels[..., 0] == light).sum() == made.size / 2
+
+
 @pytest.mark.parametrize("name", library())
 def test_every_scene_has_light_and_moderate_gloss(name):
-    """What the study needs of its library: a light, no near-mirror, and bodies clear of the ground."""
+    """What the study needs of its library: a light, no near-mirror but of glass, and bodies clear of the ground."""
     scene = load(name)
     assert scene.has_lights
-    assert all(least(thing.material.roughness) >= 0.2 for thing in scene.objects if largest(thing.material.gloss) > 0)
+    glossy = [thing.material for thing in scene.objects if largest(thing.material.gloss) > 0]
+    assert all(least(material.roughness) >= 0.2 for material in glossy if material.transparency == 0)
     assert any(largest(thing.material.gloss) > 0 for thing in scene.objects)
     bodies = [thing for thing in scene.objects if len(thing.mesh.faces) > 2]
     assert all(thing.mesh.vertices[:, 2].min() > 0.01 for thing in bodies)

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from termwise.renderer import microfacet
-from termwise.renderer.vector import Vec3
+from termwise.renderer.vector import Vec3, negate, scale
 from termwise.reports import cli, stress
 from termwise.reports.pages import stress as page
 from termwise.reports.stress import (
@@ -29,6 +29,7 @@ from termwise.reports.stress import (
     shading,
     tracers,
     translucency,
+    transmission,
 )
 from termwise.reports.stress.row import Row, measure
 from termwise.scenes.analytic import plate
@@ -36,7 +37,7 @@ from termwise.scenes.load import load
 from termwise.scenes.model import Camera, PointLight, Scene
 
 SMALL = 128
-UP = Vec3(0.0, 0.0, 1.0)
+UP, WHITE = Vec3(0.0, 0.0, 1.0), Vec3(1.0, 1.0, 1.0)
 ROWS = [(group, row) for group, row in stress.rows(count=SMALL) if not row.timed]
 
 
@@ -241,6 +242,30 @@ def test_a_planted_fault_fails_a_row_of_translucency(name, function, fault, monk
     sound = getattr(translucency, function)
     monkeypatch.setattr(translucency, function, lambda *given, **more: fault(given, sound(*given, **more)))
     assert fails("translucency", name)
+
+
+@pytest.mark.usefixtures("_fast")
+@pytest.mark.parametrize(
+    ("name", "function", "fault"),
+    [
+        ("Fresnel, index 1.5", "fresnel_dielectric", lambda _, found: found * (1.0 - 1e-13)),
+        ("Fresnel, index 1.0000001", "fresnel_dielectric", lambda _, found: found + 1e-14),
+        ("Snell, index 10", "refract", lambda _, found: Vec3(found.x * (1.0 + 1e-13), found.y, found.z)),
+        ("lobes, alpha 0.3, index 1.5", "sample_interface", lambda _, it: (it[0], scale(it[1], 2.3), it[2])),
+        ("index 1, alpha 0.3", "sample_interface", lambda given, found: (negate(given[2]), WHITE, 1.0)),
+        ("total reflection, index 1.5", "sample_interface", lambda given, found: (negate(given[2]), WHITE, 1.0)),
+        (
+            "energy, alpha 0.3, cosine 0.7, index 1.5",
+            "sample_interface",
+            lambda _, found: (found[0], found[1], found[2] ** 0.5),
+        ),
+        ("reciprocity across, alpha 0.3, index 1.5", "eval_transmission", lambda given, found: found * given[3] ** 2),
+    ],
+)
+def test_a_planted_fault_fails_a_row_of_transmission(name, function, fault, monkeypatch):
+    sound = getattr(transmission, function)
+    monkeypatch.setattr(transmission, function, lambda *given: fault(given, sound(*given)))
+    assert fails("transmission", name)
 
 
 def grazing() -> Scene:
