@@ -1,4 +1,4 @@
-"""`color (1 - gloss)` of a surface where one of the two is an image, or both: the texture `share`."""
+"""Images in Mitsuba: the textures `share`, `color (1 - gloss)` of a surface, and `lamp_image`, a lamp's radiance."""
 
 # pyright: reportCallIssue=false
 # Mitsuba's stubs do not know the types of the variant in use.
@@ -40,6 +40,36 @@ class Share(mi.Texture):
         return "Share[]"
 
 
+class LampImage(mi.Texture):
+    """An image as the radiance of an `area` emitter that is sampled as one of one radiance: evenly over its faces.
+
+    For an emitter that knows of an image Mitsuba samples its texels, and takes each for one place of the mesh: where
+    uv repeat or overlap light would be lost.
+    """
+
+    def __init__(self, props: Any) -> None:
+        """Read the texture `of`."""
+        mi.Texture.__init__(self, props)
+        self._of = props["of"]
+
+    def eval(self, si: Any, active: Any = True) -> Any:
+        """Radiance at a point of the lamp."""
+        return self._of.eval(si, active)
+
+    def sample_spectrum(self, si: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+        """What a photon carries away from there, with no wavelengths."""
+        return mi.Color0f(), self._of.eval(si, active)
+
+    def is_spatially_varying(self) -> bool:
+        """Report False, see above."""
+        return False
+
+    def to_string(self) -> str:
+        """Name the plugin."""
+        return "LampImage[]"
+
+
 def register() -> None:
-    """Make `share` known to Mitsuba."""
+    """Make both known to Mitsuba."""
     mi.register_texture("share", Share)
+    mi.register_texture("lamp_image", LampImage)
