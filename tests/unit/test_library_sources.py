@@ -9,10 +9,12 @@ import tomllib
 
 import numpy as np
 import OpenEXR
+import PIL.Image
 import pytest
 import trimesh
 
 from termwise.scenes.load import LIBRARY, library, load
+from termwise.scenes.meshes import read_mapped
 from termwise.scenes.model import largest, least
 
 DIGITS = 0.51e-4  # the scene files give four decimals
@@ -143,6 +145,18 @@ def test_sky_model_agrees_with_the_cie_clear_sky(source):
     compared = (gamma > np.radians(20)) & (upper[:, 2] > 0.1)
     np.testing.assert_allclose(ours[compared] / cie[compared], 1, atol=0.3)
     assert ours @ upper[:, 2] == pytest.approx(cie @ upper[:, 2], rel=0.1)
+
+
+def test_the_stone_and_its_images_are_made_by_their_script(source):
+    """Rounded to float32 and to whole numbers; no face of the stone lies across the seam of its image."""
+    wild = source("wild")
+    vertices, faces, uv = read_mapped(LIBRARY / "meshes" / "stone.ply")
+    for kept, made in zip((vertices, faces, uv), wild.stone(), strict=True):
+        np.testing.assert_allclose(kept, made, atol=1e-6)
+    assert np.ptp(uv[..., 0], axis=1).max() < 0.5
+    for name, made in wild.IMAGES.items():
+        kept = np.asarray(PIL.Image.open(LIBRARY / "images" / name), int)
+        assert np.abs(kept - made()).max() <= 1
 
 
 @pytest.mark.parametrize("name", library())

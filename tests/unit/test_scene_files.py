@@ -315,6 +315,7 @@ def test_the_names_of_the_library():
         "monkey",
         "smooth_monkey",
         "two_cubes",
+        "wild",
     )
 
 
