@@ -18,18 +18,26 @@ def number(value: Any) -> Any:
     return lambda si, active: constant
 
 
+def color(value: Any) -> Any:
+    """(si, active) -> mi.Color3f, by a property that is a texture or three numbers."""
+    if isinstance(value, mi.Texture):
+        return value.eval
+    constant = dr.opaque(mi.Color3f, list(value))
+    return lambda si, active: constant
+
+
 class Share(mi.Texture):
     """What one texture says, times one minus what another says."""
 
     def __init__(self, props: Any) -> None:
-        """Read the texture `of`, and `less`, a texture or a number."""
+        """Read the texture `of`, or three numbers, and `less`, a texture or a number."""
         mi.Texture.__init__(self, props)
-        self._of = props["of"]
+        self._of = color(props["of"])
         self._less = number(props["less"])
 
     def eval(self, si: Any, active: Any = True) -> Any:
         """Colour at a point of a surface."""
-        return self._of.eval(si, active) * (1.0 - self._less(si, active))
+        return self._of(si, active) * (1.0 - self._less(si, active))
 
     def is_spatially_varying(self) -> bool:
         """Report that it depends on uv."""
