@@ -117,7 +117,8 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
     width, height = description["camera"]["resolution"]
     image = np.zeros((height * width, 3))
     if description["has_lights"]:
-        surfaces = surfaces_of(loaded.scenes["direct"], loaded.description["parts"], loaded.description["varying"])
+        varying, lamps = loaded.description["varying"], loaded.description["lamp_means"]
+        surfaces = surfaces_of(loaded.scenes["direct"], loaded.description["parts"], varying, lamps)
         dark = shadows.rule(loaded, limit, "direct")
         sights = _sights(loaded, limit, spp, seed)
         count = kernel["photons"]
@@ -237,10 +238,16 @@ def _irradiance(kernel: dict[str, Any], radius: float, faces: Faces, points: Poi
     return density.by_kernel(faces, points, photons, shape=kernel["shape"], radius=radius)
 
 
-def surfaces_of(scene: Any, parts: list[list[list[int]]], varying: Sequence[list[float] | None] = ()) -> Surfaces:
+def surfaces_of(
+    scene: Any,
+    parts: list[list[list[int]]],
+    varying: Sequence[list[float] | None] = (),
+    lamps: Sequence[list[float] | None] = (),
+) -> Surfaces:
     """Read the triangles and their albedos back from a scene of diffuse meshes, and whose they are from its parts.
 
     `varying` : of each shape whose albedo is an image's the largest; None of others.
+    `lamps` : of each shape whose radiance is an image's its mean; None of others.
     """
     frontal = dr.zeros(mi.SurfaceInteraction3f)
     frontal.wi = mi.Vector3f(0.0, 0.0, 1.0)
@@ -263,7 +270,7 @@ def surfaces_of(scene: Any, parts: list[list[list[int]]], varying: Sequence[list
     survival = np.minimum(of_faces.max(axis=1), MAX_SURVIVAL)
     of_sides = np.array([*crossing, 0.0])[[*owner, -1]]
     varies = any(most is not None for most in varying)
-    return Surfaces(scene, first, faces, of_faces, of_sides, survival, emitters_of(scene, faces), varies)
+    return Surfaces(scene, first, faces, of_faces, of_sides, survival, emitters_of(scene, faces, lamps), varies)
 
 
 def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hits: bool, weighted: bool) -> Photons:
@@ -326,9 +333,10 @@ def _cosine_distributed(normal: np.ndarray, uniform: np.ndarray) -> np.ndarray:
     return np.where(length > 0.0, chord / np.where(length > 0.0, length, 1.0), normal)
 
 
-def emitters_of(scene: Any, faces: Faces) -> tuple[Emitter, ...]:
-    """Read the emitters of a scene."""
+def emitters_of(scene: Any, faces: Faces, lamps: Sequence[list[float] | None] = ()) -> tuple[Emitter, ...]:
+    """Read the emitters of a scene, `lamps` as in `surfaces_of`."""
     found = []
+    meshes = [shape for shape in scene.shapes() if shape.is_mesh()]
     for emitter in scene.emitters():
         point = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition)
         origin, direction, power = _rays(emitter, GRID if point else MIDDLE)
@@ -337,6 +345,9 @@ def emitters_of(scene: Any, faces: Faces) -> tuple[Emitter, ...]:
         if even:
             power = power[:1]
         cone = _cone(faces, origin[:1]) if even else None
+        for shape, mean in zip(meshes, lamps, strict=False):
+            if mean is not None and shape.emitter() is emitter:  # its rays differ, and that of its middle may be dark
+                power = np.pi * np.array(shape.surface_area()).item() * np.array([mean])
         found.append(Emitter(emitter, power.mean(), power.mean(axis=0, keepdims=True), origin[:1], cone))
     total = sum(each.share for each in found)
     return tuple(each._replace(share=each.share / total) for each in found)
@@ -383,6 +394,8 @@ def _emitted(emitters: Sequence[Emitter], rng: np.random.Generator, count: int) 
             origin, power = (np.broadcast_to(row, direction.shape) for row in (emitter.origin, emitter.power))
         elif number:
             origin, direction, power = _rays(emitter.plugin, rng.random((number, 4)))
+            lit = power.any(axis=1)  # of a lamp under an image some are not, and are no photons
+            origin, direction, power = origin[lit], direction[lit], power[lit]
         else:
             continue
         rays.append((origin, direction, power / (count * emitter.share)))

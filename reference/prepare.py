@@ -102,11 +102,16 @@ def _with_shared(shared: dict[str, Any], scene: dict[str, Any]) -> dict[str, Any
     def once(described: dict[str, Any]) -> Any:
         name = json.dumps(described)
         if name not in shared:
-            parts = {key: once(item) if key == "bsdf" or _has_image(item) else item for key, item in described.items()}
+            parts = {key: loaded(key, item) for key, item in described.items()}
             if described["type"] == "bitmap":
                 parts["bitmap"] = mi.Bitmap(np.load(parts.pop("texture")))
             shared[name] = mi.load_dict(parts)
         return shared[name]
+
+    def loaded(key: str, item: Any) -> Any:
+        if key == "emitter":  # which each shape has for itself
+            return {name: once(part) if _has_image(part) else part for name, part in item.items()}
+        return once(item) if key == "bsdf" or _has_image(item) else item
 
     return {key: once(item) if isinstance(item, dict) and "bsdf" in item else item for key, item in scene.items()}
 

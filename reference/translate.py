@@ -29,6 +29,7 @@ from termwise.scenes.model import (
     SphereLight,
     SpotLight,
     SunLight,
+    largest,
 )
 from termwise.scenes.textures import Texture, downwards, of_two_at_least
 
@@ -98,7 +99,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
     for number, thing in enumerate(shapes):
         points = canonical.points(thing.mesh.vertices)
         ply.write(folder / _mesh_file(number), points, thing.mesh.normals, thing.mesh.faces, uv=_uv(thing))
-        for image in thing.surface.textures.values():
+        for image in thing.images.values():
             np.save(folder / _image_file(image), of_two_at_least(image.texels))
     if scene.sky.texture is not None:
         np.save(folder / "sky.npy", scene.sky.texture)
@@ -130,9 +131,10 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         ],
         "suns": _suns(scene),
         "emission": [
-            list(radiance) if scene.shows_lights else [0.0] * 3
+            list(largest(radiance)) if scene.shows_lights else [0.0] * 3
             for radiance in (*(thing.emission for thing in shapes), *(sphere.radiance for sphere in scene.spheres))
         ],
+        "lamp_means": [_mean_radiance(thing) for thing in shapes],
         "parts": parts,
         "scenes": {role: _scene(scene, shapes, role, canonical) for role in _roles(scene)},
     }
@@ -172,8 +174,13 @@ def _as_one(things: list[Object]) -> Object:
     faces = np.concatenate([thing.mesh.faces + start for thing, start in zip(things, first, strict=True)])
     normals = [thing.mesh.normals for thing in things if thing.mesh.normals is not None]
     smooth = len(normals) == len(things)
-    uv = np.concatenate([thing.mesh.uv for thing in things]) if things[0].surface.textures else None  # type: ignore[misc]
+    uv = np.concatenate([thing.mesh.uv for thing in things]) if things[0].images else None  # type: ignore[misc]
     return attrs.evolve(things[0], mesh=Mesh(vertices, faces, np.concatenate(normals) if smooth else None, uv))
+
+
+def _mean_radiance(thing: Object) -> list[float] | None:
+    """Of a lamp under an image; None of any other object."""
+    return list(thing.mean_radiance()) if thing.emits and isinstance(thing.emission, Texture) else None
 
 
 def _place(parts: list[list[list[int]]], thing: int, objects: int) -> tuple[int, int, int]:
@@ -233,7 +240,7 @@ def _check_radiances(scene: Scene) -> None:
     if scene.shows_lights:
         suns = ((number, light) for number, light in enumerate(scene.lights) if isinstance(light, SunLight))
         named += [(f"lights[{number}]: radiance of the drawn disc", light.radiance) for number, light in suns]
-    named += [(f"objects: {thing.name!r}: emission", thing.emission) for thing in scene.objects]
+    named += [(f"objects: {thing.name!r}: emission", largest(thing.emission)) for thing in scene.objects]
     if scene.sky.texture is not None:
         named.append(("sky.texture", float(scene.sky.texture.max())))
     for name, value in named:
@@ -260,7 +267,7 @@ def _check_images(scene: Scene) -> None:
         places = _uv(thing)
         if places is None:
             continue
-        for name, image in thing.surface.textures.items():
+        for name, image in thing.images.items():
             along = np.ptp(places, axis=1).max(axis=0) * image.texels.shape[1::-1]
             if along.max() > LONGEST:
                 raise ValueError(
@@ -274,7 +281,7 @@ def _uv(thing: Object) -> np.ndarray | None:
 
     Of an image that repeats, the next to the origin, for what Mitsuba reads is float32.
     """
-    images = thing.surface.textures.values()
+    images = thing.images.values()
     if not images or thing.mesh.uv is None:
         return None
     places = downwards(thing.mesh.uv)
@@ -414,6 +421,8 @@ def _diffuse_part(scene: Scene, material: Material) -> dict[str, Any]:
 
 def _face(thing: Object) -> dict[str, Any]:
     """The light of an emitting object's faces."""
+    if isinstance(thing.emission, Texture):
+        return {"type": "area", "radiance": {"type": "lamp_image", "of": _image(thing.emission)}}
     return {"type": "area", "radiance": _rgb(thing.emission)}
 
 

@@ -86,7 +86,7 @@ _BELOW_ONE = 1.0 - 2.0**-53
 def from_scene(scene: Scene, without: Collection[str]) -> Materials:
     """The materials of a scene's objects; `without`: see `arrays.from_scene`."""
     surfaces = scene.surfaces
-    emission = [*(thing.emission for thing in scene.objects), *(sphere.radiance for sphere in scene.spheres)]
+    emission = [*(largest(thing.emission) for thing in scene.objects), *(sphere.radiance for sphere in scene.spheres)]
     lit = scene.toggles.lighting
     return Materials(
         np.array([largest(surface.color) for surface in surfaces]).reshape(-1, 3),
@@ -213,7 +213,23 @@ def interface(scene: SceneArrays, dielectrics: Dielectrics, gloss: float, surfac
 @device
 def emission(scene: SceneArrays, face: int, b1: float, b2: float) -> Vec3:
     """Radiance of the front of a face at a point of it, which need not be one that a ray has met."""
-    return vec3(scene.materials.emission, scene.geometry.object[face])
+    return _emission(scene.materials, scene.materials.textures, scene.geometry.object[face], face, b1, b2)
+
+
+@device
+def _emission(materials: Materials, images: Textures | None, thing: int, face: int, b1: float, b2: float) -> Vec3:
+    if images is not None:
+        return _emitted(materials, images, images.emission, thing, face, b1, b2)
+    return vec3(materials.emission, thing)
+
+
+@device
+def _emitted(
+    materials: Materials, images: Textures, emission: np.ndarray | None, thing: int, face: int, b1: float, b2: float
+) -> Vec3:
+    if emission is not None and emission[thing] >= 0:
+        return color_at(images, emission[thing], face, b1, b2)
+    return vec3(materials.emission, thing)
 
 
 # Numba leaves out a branch that asks an argument of type None whether it is None, and compiles nothing behind it.

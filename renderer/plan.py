@@ -428,13 +428,14 @@ def camera_rays(samples: int, split: int) -> int:
 
 
 def _images(scene: Scene, term: Term) -> str:
-    """The images in a scene's materials, where a term reads those."""
-    if not any(field.startswith("objects.material.") for each in reads_of(term) for field in each.fields):
-        return ""
+    """The images of a scene's objects that a term reads."""
+    of_surfaces = any(field.startswith("objects.material.") for each in reads_of(term) for field in each.fields)
+    of_lamps = TABLE[term].scoped if term != "background" else scene.shows_lights
     return ", ".join(
         f"{name} of {thing.name} ({image.texels.shape[1]} x {image.texels.shape[0]})"
         for thing in scene.objects
-        for name, image in thing.surface.textures.items()
+        for name, image in thing.images.items()
+        if (of_lamps if name == "emission" else of_surfaces)
     )
 
 

@@ -1,4 +1,4 @@
-"""Images on surfaces: `u = (1 - b1 - b2) u0 + b1 u1 + b2 u2`, and bilinear between centres of texels.
+"""Images on surfaces and lamps: `u = (1 - b1 - b2) u0 + b1 u1 + b2 u2`, and bilinear between centres of texels.
 
 What an image means says `scenes.textures`. Coordinates are float64, texels the float32 that they are given as.
 """
@@ -6,6 +6,7 @@ What an image means says `scenes.textures`. Coordinates are float64, texels the 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ class Textures(NamedTuple):
     ----------
     uv : (F, 3, 2), place of each face's corners in an image; 0 of what has none.
     color, gloss, roughness : (O,) int32, which image an object has there; -1: none.
+    emission : the same of what it sends; None of a scene without, whose kernels are compiled without.
     first : (T,) int64, where an image begins among the texels.
     width, height : (T,) int64.
     repeats : (T,) bool; else the border goes on.
@@ -33,6 +35,7 @@ class Textures(NamedTuple):
     color: np.ndarray
     gloss: np.ndarray
     roughness: np.ndarray
+    emission: np.ndarray | None
     first: np.ndarray
     width: np.ndarray
     height: np.ndarray
@@ -41,8 +44,11 @@ class Textures(NamedTuple):
 
 
 def from_scene(scene: Scene) -> Textures | None:
-    """Those of its surfaces; None without."""
-    images = list(dict.fromkeys(image for surface in scene.surfaces for image in surface.textures.values()))
+    """Those of its surfaces and lamps; None without."""
+    emitted = [thing.emission if scene.toggles.lighting else None for thing in scene.objects]
+    of_lamps = [image for image in emitted if isinstance(image, Texture)]
+    of_surfaces = (image for surface in scene.surfaces for image in surface.textures.values())
+    images = list(dict.fromkeys((*of_surfaces, *of_lamps)))
     if not images:
         return None
     meshes = [thing.mesh for thing in scene.objects]
@@ -52,6 +58,7 @@ def from_scene(scene: Scene) -> Textures | None:
         _numbers(images, [surface.color for surface in scene.surfaces]),
         _numbers(images, [surface.gloss if scene.toggles.reflections else 0.0 for surface in scene.surfaces]),
         _numbers(images, [surface.roughness for surface in scene.surfaces]),
+        _numbers(images, [*emitted, *(None for _ in scene.spheres)]) if of_lamps else None,
         np.cumsum([0, *sizes[:-1]]),
         np.array([image.texels.shape[1] for image in images]),
         np.array([image.texels.shape[0] for image in images]),
@@ -60,7 +67,7 @@ def from_scene(scene: Scene) -> Textures | None:
     )
 
 
-def _numbers(images: list[Texture], values: list[object]) -> np.ndarray:
+def _numbers(images: list[Texture], values: Sequence[object]) -> np.ndarray:
     return np.array([images.index(value) if isinstance(value, Texture) else -1 for value in values], np.int32)
 
 

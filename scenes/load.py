@@ -86,12 +86,13 @@ def _foreign(path: Path, approximate: bool) -> model.Scene:
 
 @attrs.frozen(kw_only=True)
 class _Image:
-    """An image in the place of a colour or, of its one `channel`, of a number."""
+    """An image in the place of a colour, of a radiance, `scale` times it, or, by its one `channel`, of a number."""
 
     file: str
     wrap: textures.Wrap = "repeat"
     encoding: textures.Encoding | None = None
     channel: textures.Channel | None = None
+    scale: float | None = attrs.field(default=None, validator=attrs.validators.optional(model.positive))
 
     def read(self, folder: Path, name: str) -> Texture:
         """The image as the field `name`.
@@ -104,15 +105,24 @@ class _Image:
         try:
             if not path.is_file():
                 raise ValueError(f"no such file in {folder}")
-            if name == "color" and self.channel is not None:
+            colored = name in ("color", "emission")
+            if colored and self.channel is not None:
                 raise ValueError(f"channel = {self.channel!r}: allowed is none, for a colour has all")
+            if name != "emission" and self.scale is not None:
+                raise ValueError(f"scale = {self.scale!r}: allowed is none, but of emission")
             texels = (
                 textures.read_color(path, self.encoding)
-                if name == "color"
+                if colored
                 else textures.read_number(path, self.encoding, self.channel)
             )
+            if self.scale is not None:
+                texels = texels * np.float64(self.scale)
             texture = Texture(texels, self.wrap)
-            model.Material(**cast(Any, {name: texture}))  # where its texels are refused, the file is named
+            # Where its texels are refused, the file is named.
+            if name == "emission":
+                model.non_negative(None, attrs.fields(model.Object).emission, texture)
+            else:
+                model.Material(**cast(Any, {name: texture}))
             return texture
         except ValueError as error:
             raise ValueError(f"{name} = {self.file!r}: {str(error).removeprefix(f'{name}: ')}") from None
@@ -137,11 +147,13 @@ class _Placed:
     ior: float = model.Material().ior
     tint: model.Color = model.Material().tint
     fresnel: model.Fresnel = model.Material().fresnel
-    emission: model.Color = attrs.field(default=model.BLACK, validator=model.non_negative)
+    emission: model.Color | _Image = cast(model.Color, model.BLACK)
 
     def __attrs_post_init__(self) -> None:
-        """Check the material where its fields stand in the file."""
+        """Check material and emission where their fields stand in the file."""
         model.Material(**{name: value for name, value in self.looks().items() if not isinstance(value, _Image)})
+        if not isinstance(self.emission, _Image):
+            model.non_negative(self, attrs.fields(model.Object).emission, self.emission)
 
     def looks(self) -> dict[str, Any]:
         """Fields of the material."""
@@ -158,6 +170,15 @@ class _Placed:
         except ValueError as error:
             raise ValueError(f"objects: {self.name!r}: {error}") from None
 
+    def sent(self, folder: Path) -> model.Color | Texture:
+        """The emission with its image."""
+        if not isinstance(self.emission, _Image):
+            return self.emission
+        try:
+            return self.emission.read(folder, "emission")
+        except ValueError as error:
+            raise ValueError(f"objects: {self.name!r}: {error}") from None
+
     def geometry(self, folder: Path, *, mapped: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Vertices (V, 3) and faces (F, 3) before placement, and where in an image the faces' corners lie, (F, 3, 2).
 
@@ -170,8 +191,10 @@ class _Placed:
         return f"objects: {self.name!r}"
 
     def build(self, folder: Path) -> model.Object:
-        material = self.material(folder)
-        vertices, faces, uv = self.geometry(folder, mapped=bool(material.textures) and not any(self.emission))
+        material, emission = self.material(folder), self.sent(folder)
+        reflects = not any(model.largest(emission))
+        mapped = isinstance(emission, Texture) or (reflects and bool(material.textures))
+        vertices, faces, uv = self.geometry(folder, mapped=mapped)
         with np.errstate(over="ignore", invalid="ignore"):  # the mesh refuses what is not finite
             placed = self.scale * np.asarray(vertices, np.float64) @ self._rotation().T + self.translation
         try:
@@ -179,7 +202,7 @@ class _Placed:
         except ValueError as error:
             raise ValueError(f"{self.where()}: {error}") from None
         try:
-            return model.Object(self.name, mesh, material, self.emission)
+            return model.Object(self.name, mesh, material, emission)
         except ValueError as error:
             raise ValueError(f"objects: {error}") from None
 

@@ -308,13 +308,14 @@ class Object:
     """A named mesh with a material; an object that emits is an area light and its surface is black.
 
     `emission` is the radiance leaving the side that the face normals point to; the surface of an
-    emitter neither reflects nor transmits, on both sides, for every term. A material of images needs a mesh with uv.
+    emitter neither reflects nor transmits, on both sides, for every term. It may be a `Texture` of 3 channels; an
+    object of images needs a mesh with uv.
     """
 
     name: str
     mesh: Mesh
     material: Material = Material()
-    emission: Color = attrs.field(converter=_triple, default=BLACK, validator=non_negative)
+    emission: Color | Texture = attrs.field(converter=_or_texture(_triple, 3), default=BLACK, validator=non_negative)
 
     def __attrs_post_init__(self) -> None:
         """Refuse a transparent lamp, and an image that nothing says how to lay on the surface."""
@@ -323,7 +324,7 @@ class Object:
                 f"{self.name!r}: transparency = {self.material.transparency!r}: allowed is 0 with emission = "
                 f"{self.emission!r}: the surface of a lamp is black"
             )
-        for name in self.surface.textures:
+        for name in self.images:
             if self.mesh.uv is None:
                 raise ValueError(
                     f"{self.name!r}: {name}: is an image, and nothing says how it lies on the mesh: allowed are a "
@@ -335,12 +336,52 @@ class Object:
     @property
     def emits(self) -> bool:
         """Whether the object is an area light."""
-        return any(self.emission)
+        return any(largest(self.emission))
 
     @property
     def surface(self) -> Material:
         """The material that light meets: black where the object emits."""
         return BLACK_SURFACE if self.emits else self.material
+
+    @property
+    def images(self) -> dict[str, Texture]:
+        """The fields that are images, by name, but those of a material that no light meets."""
+        emitted = {"emission": self.emission} if isinstance(self.emission, Texture) else {}
+        return {**self.surface.textures, **emitted}
+
+    def radiances(self) -> np.ndarray:
+        """About the mean radiance of the front of each face, (F, 3): what light is sampled by.
+
+        Of an image the mean of 64 points of the face, and of all texels: so it is above 0 where any texel is.
+        """
+        faces = len(self.mesh.faces)
+        if not isinstance(self.emission, Texture):
+            return np.tile(self.emission, (faces, 1))
+        assert self.mesh.uv is not None
+        here = np.zeros((faces, 3))
+        for weights in _MIDDLES:
+            here += self.emission.near(np.einsum("k,fkc->fc", weights, self.mesh.uv))
+        return 0.5 * (here / len(_MIDDLES) + self.emission.texels.mean(axis=0, dtype=np.float64).mean(axis=0))
+
+    def mean_radiance(self) -> Color:
+        """Mean of `radiances` over the area."""
+        if not isinstance(self.emission, Texture):
+            return self.emission
+        corners = self.mesh.vertices[self.mesh.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        red, green, blue = (area @ self.radiances() / area.sum()).tolist()
+        return red, green, blue
+
+
+def _middles(side: int) -> np.ndarray:
+    """Weights of the corners (side², 3) in the middles of the equal parts that a triangle is cut into."""
+    upright = [(i + 1 / 3, j + 1 / 3) for i in range(side) for j in range(side - i)]
+    turned = [(i + 2 / 3, j + 2 / 3) for i in range(side - 1) for j in range(side - 1 - i)]
+    b1, b2 = np.array(upright + turned).T / side
+    return np.column_stack([1.0 - b1 - b2, b1, b2])
+
+
+_MIDDLES = _middles(8)
 
 
 @attrs.frozen

@@ -63,7 +63,7 @@ def save(scene: Scene, path: Path) -> None:
 
 def _asked_for(thing: Object) -> Object:
     """An object without what no file would say of it."""
-    unread = thing.mesh.uv is not None and not thing.surface.textures
+    unread = thing.mesh.uv is not None and not thing.images
     return attrs.evolve(thing, mesh=attrs.evolve(thing.mesh, uv=None)) if unread else thing
 
 
@@ -108,7 +108,9 @@ def _object(thing: Object, number: int, files: Path) -> dict[str, Any]:
         table["normals"] = "smooth"
     table |= _changed(thing.material, Material())
     table |= {name: _image(image, f"{number:02d}.{name}.exr", files) for name, image in thing.material.textures.items()}
-    if thing.emits:
+    if isinstance(thing.emission, Texture):
+        table["emission"] = _image(thing.emission, f"{number:02d}.emission.exr", files)
+    elif thing.emits:
         table["emission"] = list(thing.emission)
     return table
 

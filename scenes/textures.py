@@ -49,13 +49,14 @@ def _wrap(_instance: Any, attribute: Any, value: Any) -> None:
 
 def _of_channels(reduce: Callable[..., np.ndarray]) -> Any:
     """The least or the greatest of each channel; NaN where a texel is."""
-    of = attrs.Factory(lambda self: tuple(reduce(self.texels, axis=(0, 1)).tolist()), takes_self=True)
+    # Axis by axis, for over both at once it takes 25 times as long.
+    of = attrs.Factory(lambda self: tuple(reduce(reduce(self.texels, axis=0), axis=0).tolist()), takes_self=True)
     return attrs.field(init=False, eq=False, repr=False, default=of)
 
 
 @attrs.frozen
 class Texture:
-    """An image in the place of a number or a colour of a material; equal where its content is.
+    """An image in the place of a number or a colour of a material, or of a radiance; equal where its content is.
 
     Attributes
     ----------
@@ -84,6 +85,14 @@ class Texture:
     def channels(self) -> int:
         """1 or 3."""
         return self.texels.shape[2]
+
+    def near(self, places: np.ndarray) -> np.ndarray:
+        """The texels (..., C) that places (..., 2) lie in."""
+        shares = places - np.floor(places) if self.wrap == "repeat" else np.clip(places, 0.0, 1.0)
+        height, width, _ = self.texels.shape
+        column = np.minimum((shares[..., 0] * width).astype(np.int64), width - 1)
+        row = np.minimum(((1.0 - shares[..., 1]) * height).astype(np.int64), height - 1)
+        return self.texels[row, column]
 
     def beyond(self, within: Callable[[np.ndarray], np.ndarray]) -> str | None:
         """The first texel that is not `within`, in words; None where all are."""
@@ -139,6 +148,29 @@ def read_number(path: Path, encoding: Encoding | None, channel: Channel | None) 
     return _linear(values[..., "RGB".index(channel or "R")], encoding)
 
 
+def read_within(content: bytes, encoding: Encoding) -> np.ndarray:
+    """Linear texels (H, W, 3) float32 of a PNG or JPEG that stands in another file; what it says of alpha is left out.
+
+    Raises
+    ------
+    ValueError : as `read_color`.
+    """
+    kind = next((name for magic, name in _OF_BYTES.items() if content.startswith(magic)), None)
+    if kind is None:
+        raise ValueError(f"begins with {content[:4]!r}: allowed are {' and '.join(_OF_BYTES.values())}")
+    try:
+        with warnings.catch_warnings(), PIL.Image.open(io.BytesIO(content), formats=[kind]) as image:
+            warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
+            return _linear(_shares(image, _is_wide(kind, content), opaque=False), encoding)
+    except (OSError, SyntaxError, PIL.Image.DecompressionBombError) as error:
+        raise ValueError(f"cannot be read: {' '.join(str(error).split())}") from None
+
+
+def _is_wide(kind: str, begins: bytes) -> bool:
+    """Whether a file is PNG of 16 bits."""
+    return kind == "PNG" and begins[24:25] == b"\x10"
+
+
 def _linear(values: np.ndarray, encoding: Encoding) -> np.ndarray:
     if encoding == "linear":
         return values.astype(np.float32)
@@ -159,17 +191,17 @@ def _read(path: Path, encoding: Encoding | None) -> tuple[np.ndarray, Encoding]:
             return images.read_one(path).pixels, encoding or "linear"
         with warnings.catch_warnings(), PIL.Image.open(path, formats=[kind]) as image:
             warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
-            return _shares(image, kind == "PNG" and first[24:25] == b"\x10"), encoding or _said(image)
+            return _shares(image, _is_wide(kind, first)), encoding or _said(image)
     except (OSError, SyntaxError, PIL.Image.DecompressionBombError) as error:
         raise ValueError(f"cannot be read: {' '.join(str(error).split())}") from None
     except ValueError as error:
         raise ValueError(str(error).removeprefix(f"{path}: ").replace(images.ALLOWED, ALLOWED)) from None
 
 
-def _shares(image: PIL.Image.Image, wide: bool) -> np.ndarray:
-    """Values (H, W, 3) in [0, 1]; `wide`: of 16 bits."""
+def _shares(image: PIL.Image.Image, wide: bool, *, opaque: bool = True) -> np.ndarray:
+    """Values (H, W, 3) in [0, 1]; `wide`: of 16 bits, `opaque`: what is not is refused."""
     if image.has_transparency_data:
-        if np.asarray(image.convert("RGBA"))[..., 3].min() < 255:
+        if opaque and np.asarray(image.convert("RGBA"))[..., 3].min() < 255:
             raise ValueError("holds transparent texels, and a surface is opaque: allowed is an image without")
     elif image.mode not in ("1", "L", "P", "RGB", "I;16"):
         raise ValueError(f"holds {image.mode}: allowed are grey and RGB")

@@ -1,6 +1,8 @@
 """Emitting triangle of radiance L and area A: `E = L cos(theta) cos(theta') A / d²` of a uniform point, power `pi A L`.
 
-The front side alone, that of the face's normal, shines.
+The front side alone, that of the face's normal, shines. Where L is an image it is looked up at the point. Light samples
+choose among many faces by the mean radiance of each; photons leave all faces of an object alike, and carry what leaves
+there: an estimate by the k nearest asks where they start.
 """
 
 from __future__ import annotations
@@ -33,8 +35,8 @@ class Faces(NamedTuple):
     ----------
     face : (E,) int32, face indices.
     area : (E,), area of each.
-    radiance : (E,), mean channel.
-    strength : (E,), of radiance times area.
+    radiance : (E,), mean channel, and mean of an image over the object.
+    strength : (E,), area times mean channel, and mean of an image over the face.
     """
 
     face: np.ndarray
@@ -50,12 +52,12 @@ def from_scene(scene: Scene, lit: bool) -> Faces:
     first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
     faces = np.concatenate([np.zeros(0, np.int64), *(np.arange(first[i], first[i + 1]) for i in lamps)])
     edges = np.concatenate([np.zeros((0, 3, 3)), *(meshes[i].vertices[meshes[i].faces] for i in lamps)])
-    color = np.concatenate(
-        [np.zeros((0, 3)), *(np.tile(scene.objects[i].emission, (len(meshes[i].faces), 1)) for i in lamps)]
-    )
+    of_faces = np.concatenate([np.zeros((0, 3)), *(scene.objects[i].radiances() for i in lamps)]).mean(axis=1)
+    of_lamps = np.reshape([scene.objects[i].mean_radiance() for i in lamps], (-1, 3)).mean(axis=1)
+    radiance = np.repeat(of_lamps, [len(meshes[i].faces) for i in lamps])
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1)
-    faces, area, radiance = faces[area > 0].astype(np.int32), area[area > 0], color[area > 0].mean(axis=1)
-    return Faces(faces, area, radiance, area * radiance)
+    some = area > 0
+    return Faces(faces[some].astype(np.int32), area[some], radiance[some], area[some] * of_faces[some])
 
 
 def power(faces: Faces, aimed: bool) -> np.ndarray:

@@ -230,7 +230,7 @@ def _diffuse(scene: Scene, things: Sequence[Object]) -> Scene:
 
 def _odd(scene: Scene) -> str | None:
     """What a scene chooses that other renderers have no word for, or are not asked for."""
-    if any(thing.surface.textures for thing in scene.objects):
+    if any(thing.images for thing in scene.objects):
         return "it has images on its surfaces, which engines are not asked for"
     choices = (("irradiance", "E / pi"), ("ignore", "face"), ("normals", "viewer"), ("shadows", "physical"))
     for name, usual in choices:

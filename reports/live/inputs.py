@@ -10,9 +10,9 @@ import attrs
 
 from termwise.renderer.terms import VARIANTS
 from termwise.reports.live.state import State, Steps
-from termwise.scenes.model import Ambient, Fresnel, Light, Material, Photons, Scene, Sky
+from termwise.scenes.model import Ambient, Fresnel, Light, Photons, Scene, Sky
 from termwise.scenes.terms import TERMS
-from termwise.scenes.textures import Wrap
+from termwise.scenes.textures import Texture, Wrap
 
 _LENGTH, _RADIANCE, _DEGREES = "scene units", "radiance", "degrees"
 # Units of what lights send, and ends of the sliders of their angles.
@@ -98,7 +98,13 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                 for each in (
                     *_triple(("scene", "objects", number, "position"), thing.name, "", _LENGTH, "xyz"),
                     Input(("scene", "objects", number, "size"), f"{thing.name} size", "", "root of its area"),
-                    *_triple(("scene", "objects", number, "emission"), f"{thing.name} emission", "", _RADIANCE, "RGB"),
+                    *_or_image(
+                        thing.images,
+                        ("scene", "objects", number, "emission"),
+                        _triple(
+                            ("scene", "objects", number, "emission"), f"{thing.name} emission", "", _RADIANCE, "RGB"
+                        ),
+                    ),
                 )
             ),
             Input(
@@ -160,15 +166,17 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                 thing.name,
                 [
                     *_or_image(
-                        thing.material,
+                        thing.material.textures,
                         (*material, "color"),
                         _triple((*material, "color"), "color", "", "reflectance", "RGB", high=1.0),
                     ),
                     *_or_image(
-                        thing.material, (*material, "gloss"), [Input((*material, "gloss"), "gloss", "g", "", 0.0, 1.0)]
+                        thing.material.textures,
+                        (*material, "gloss"),
+                        [Input((*material, "gloss"), "gloss", "g", "", 0.0, 1.0)],
                     ),
                     *_or_image(
-                        thing.material,
+                        thing.material.textures,
                         (*material, "roughness"),
                         [Input((*material, "roughness"), "roughness", "", "Beckmann α", 0.01, 1.5)],
                     ),
@@ -182,11 +190,11 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
             )
 
 
-def _or_image(material: Material, path: Steps, plain: list[Input]) -> list[Input]:
-    """The inputs of a field of a material; an image stays, and may go on otherwise."""
-    if path[-1] not in material.textures:
+def _or_image(images: dict[str, Texture], path: Steps, plain: list[Input]) -> list[Input]:
+    """The inputs of a field of an object; an image stays, and may go on otherwise."""
+    if path[-1] not in images:
         return plain
-    return [Input((*path, "wrap"), f"{path[-1]}, an image, beyond its border", choices=get_args(Wrap))]
+    return [Input((*path, "wrap"), f"{plain[0].label}, an image, beyond its border", choices=get_args(Wrap))]
 
 
 def _light(number: int, light: Light) -> Iterator[Input]:

@@ -2,7 +2,8 @@
 
 Images of 1 x 1 to 8192 x 8192 texels, places on and beside the border, on centres of texels, and up to 1e6 images away;
 the oracle is exact arithmetic of fractions. With u = 2^-53 a place is rounded by 4 u of its distance from the origin,
-counted in texels, and a value by that times the difference of texels, and by 8 u of its own.
+counted in texels, and a value by that times the difference of texels, and by 8 u of its own. Of a lamp under an image
+no face may be without a chance that has a texel which shines.
 
 What is to be expected: Mitsuba computes in float32, and so loses a place 1e6 images away. The paper's program has no
 images on surfaces.
@@ -16,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from termwise.renderer.textures import Textures, color_at
+from termwise.renderer.lights import emitters_of
+from termwise.renderer.textures import Textures, color_at, from_scene
 from termwise.reports.stress.row import Row
-from termwise.scenes.model import Material, Mesh, Object
+from termwise.scenes.model import BLACK, Camera, Material, Mesh, Object, Scene
 from termwise.scenes.textures import Texture, Wrap
 
 WRAPS: tuple[Wrap, ...] = ("repeat", "clamp")
@@ -44,7 +46,7 @@ def ours(texture: Texture, places: np.ndarray) -> np.ndarray:
     first, wide, high = (np.array([each], np.int64) for each in (0, width, height))
     number, none = np.zeros(1, np.int32), np.full(1, -1, np.int32)
     repeats = np.array([texture.wrap == "repeat"])
-    images = Textures(uv, number, none, none, first, wide, high, repeats, texture.texels.ravel())
+    images = Textures(uv, number, none, none, None, first, wide, high, repeats, texture.texels.ravel())
     return np.array([color_at(images, 0, face, 0.0, 0.0) for face in range(len(places))])
 
 
@@ -152,6 +154,7 @@ def rows(count: int) -> Iterator[Row]:
 
         yield Row(f"places of 1e-40 to 1e38, {wrap}", "values beyond all texels", 0.0, outside)
     yield from _refusals()
+    yield from _lamps()
 
 
 def _refusals() -> Iterator[Row]:
@@ -191,6 +194,62 @@ def _refusals() -> Iterator[Row]:
         return _taken(lambda: Object("shard", mesh, Material(image(2, 2))), "'shard': color: is an image")
 
     yield Row("an image on a mesh without uv", "taken, or refused in other words", 0.0, without)
+
+
+def _lamps() -> Iterator[Row]:
+    """Lamps under images: what is no radiance is refused; what shines is sampled; what does not is no lamp."""
+    for name, value in {"NaN": np.nan, "infinite": np.inf, "negative": -1e-30, "1e300": 1e300}.items():
+
+        def accepted(value: float = value) -> float:
+            values = np.full((3, 4, 3), 0.5)
+            values[2, 1, 1] = value
+            return _taken(lambda: _lamp(Texture(values)), "emission: texel .* row 2, column 1")
+
+        yield Row(f"a texel of a lamp that is {name}", "taken, or refused in other words", 0.0, accepted)
+
+    def without() -> float:
+        mesh = Mesh.from_arrays(np.eye(3), [[0, 1, 2]])
+        return _taken(lambda: Object("lamp", mesh, emission=image(2, 2)), "'lamp': emission: is an image")
+
+    yield Row("a lamp's image on a mesh without uv", "taken, or refused in other words", 0.0, without)
+    for side in (1, 64):
+
+        def black(side: int = side) -> float:
+            return float(_lit(np.zeros((side, side, 3), np.float32)).has_lights)
+
+        yield Row(f"a lamp under a black image of {side} x {side}", "lights", 0.0, black)
+    for side in (1, 64, LARGE[0]):
+
+        def bright(side: int = side) -> float:
+            texels = np.zeros((side, side, 3), np.float32)
+            texels[side // 3, side // 5, 1] = 1e30
+            emitters = emitters_of(_lit(texels))
+            chances = np.concatenate([np.diff(emitters.cdf), emitters.faces.strength])
+            return float((~((chances > 0.0) & np.isfinite(chances))).sum())
+
+        yield Row(f"one bright texel of {side} x {side} of a lamp", "faces without a chance", 0.0, bright)
+    for side in (1, LARGE[0]):
+
+        def constant(side: int = side) -> float:
+            scene = _lit(np.full((side, side, 3), 0.7, np.float32))
+            images = from_scene(scene)
+            assert images is not None
+            points = np.random.default_rng(34).dirichlet((1.0, 1.0, 1.0), 16)
+            found = [color_at(images, 0, face, b[1], b[2]) for face in range(2) for b in points]
+            return float(np.abs(np.array(found) / float(np.float32(0.7)) - 1.0).max() / _UNIT)
+
+        yield Row(f"a lamp under {side} x {side} texels of one value", "largest error, units of 2^-53", 8.0, constant)
+
+
+def _lamp(emission: Texture) -> Object:
+    """A square of two triangles."""
+    corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+    mesh = Mesh.from_arrays(np.pad(corners, ((0, 0), (0, 1))), [[0, 1, 2], [0, 2, 3]], uv=corners)
+    return Object("lamp", mesh, Material(BLACK), emission)
+
+
+def _lit(texels: np.ndarray) -> Scene:
+    return Scene("lit", Camera((0.5, 0.5, 3.0), (0.5, 0.5, 0.0), up=(0.0, 1.0, 0.0)), (_lamp(Texture(texels)),))
 
 
 def _taken(make: Callable[[], object], words: str) -> float:

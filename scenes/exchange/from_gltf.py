@@ -5,20 +5,20 @@ intensity. An emitting material of one side is a lamp; its back, which glTF does
 """
 
 import contextlib
-import io
 import math
 from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
-import PIL.Image
 
 from termwise.scenes.exchange.imported import LONGEST, MIRROR, Import, Unsaid, coated, look
 from termwise.scenes.meshes.glb import File, described
 from termwise.scenes.model import BLACK, Color, DirectionalLight, Material, PointLight, Scene, SpotLight, largest
-from termwise.scenes.srgb import decoded
+from termwise.scenes.textures import Encoding, Texture, Wrap, downwards, read_within
 
+_REPEAT, _CLAMP, _MIRRORED, _NEAREST = 10497, 33071, 33648, 9728
+_WRAPS: dict[int, Wrap] = {_REPEAT: "repeat", _CLAMP: "clamp"}
 _UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _F0 = 0.04
 """Of a dielectric whose index of refraction is glTF's default, 1.5."""
@@ -94,10 +94,12 @@ def _primitive(found: Import, file: File, number: int, primitive: Any, points: n
         found.instead(name, "COLOR_0, colours at the vertices", "their mean")
         tint = file.accessor(attributes["COLOR_0"])[:, :3].mean(axis=0)
     used = file.item("materials", primitive["material"]) if "material" in primitive else {}
-    material, emission = _material(found, file, used, f"material {used['name']!r}" if "name" in used else name, tint)
-    material = _transparent(found, used, name, material)
+    images = _Images(found, file, primitive, f"material {used['name']!r}" if "name" in used else name)
+    material, emission = _material(found, used, tint, images)
+    material = _transparent(found, used, images, name, material)
     material = _translucent(found, used, name, material)
-    found.add(name, points @ _UP.T, faces, material, normals=normals, emission=emission)
+    uv = None if images.places is None else images.places[faces]
+    found.add(name, points @ _UP.T, faces, material, normals=normals, emission=emission, uv=uv)
 
 
 def _translucent(found: Import, used: Any, name: str, material: Material) -> Material:
@@ -107,18 +109,86 @@ def _translucent(found: Import, used: Any, name: str, material: Material) -> Mat
     for texture in ("diffuseTransmissionTexture", "diffuseTransmissionColorTexture"):
         if texture in given:
             found.instead(name, texture, "its factor alone")
-    if share > 0.0 and not np.allclose(
-        given.get("diffuseTransmissionColorFactor", (1.0, 1.0, 1.0)), largest(material.color)
+    if share > 0.0 and (
+        isinstance(material.color, Texture)
+        or not np.allclose(given.get("diffuseTransmissionColorFactor", (1.0, 1.0, 1.0)), material.color)
     ):
         found.instead(name, "diffuseTransmissionColorFactor", "the colour of the diffuse part")
     return attrs.evolve(material, translucency=share)
+
+
+class _Images:
+    """The images of a material on a primitive, whose corners have one place for all of them.
+
+    Attributes
+    ----------
+    name : of the material.
+    places : (V, 2) of the primitive's points, v upwards; None until an image lies there.
+    """
+
+    def __init__(self, found: Import, file: File, primitive: Any, name: str) -> None:
+        self._found, self._file, self._primitive, self.name = found, file, primitive, name
+        self.places: np.ndarray | None = None
+
+    def read(self, feature: str, holder: Any, *, encoded: bool) -> tuple[np.ndarray, Wrap]:
+        """Texels (H, W, 3) and how they go on; the mean (3,) where the model cannot say how they lie; 1 without.
+
+        `encoded`: as sRGB; else they are linear.
+        """
+        if feature not in holder:
+            return np.ones(3), "repeat"
+        info = holder[feature]
+        texture = self._file.item("textures", info["index"])
+        texels = self._texels(feature, texture, "sRGB" if encoded else "linear")
+        moved = info.get("extensions", {}).get("KHR_texture_transform", {})
+        places = self._file.places(self._primitive, moved.get("texCoord", info.get("texCoord", 0)))
+        if places is not None:  # the extension's v goes down, as the file's
+            shifted = downwards(places) * moved.get("scale", (1.0, 1.0)) + moved.get("offset", (0.0, 0.0))
+            places = downwards(shifted)
+        sampler = self._file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
+        wraps = {sampler.get(name, _REPEAT) for name in ("wrapS", "wrapT")}
+        if places is not None and ((places >= 0.0) & (places <= 1.0)).all():
+            # An image that is mirrored beyond its border goes on with the border's own texels.
+            wraps = {_CLAMP if wrap == _MIRRORED else wrap for wrap in wraps}
+        if moved.get("rotation", 0.0) != 0.0:
+            unsaid = "that is turned"
+        elif places is None:
+            unsaid = "without a TEXCOORD of its number"
+        elif self.places is not None and not np.array_equal(places, self.places):
+            unsaid = "that lies otherwise than another image of the material"
+        elif len(wraps) > 1 or not wraps <= {*_WRAPS}:
+            unsaid = "that is mirrored, or goes on otherwise along u than along v"
+        elif sampler.get("magFilter") == _NEAREST:
+            unsaid = "that is not interpolated"
+        else:
+            self.places = places
+            return texels, _WRAPS[wraps.pop()]
+        self._found.instead(self.name, f"{feature} {unsaid}", "its mean")
+        return texels.mean(axis=(0, 1)), "repeat"
+
+    def _texels(self, feature: str, texture: Any, encoding: Encoding) -> np.ndarray:
+        if "source" not in texture:
+            raise self._found.refuse(
+                self.name, f"{feature} of {', '.join(texture.get('extensions', {})) or 'no image'}"
+            )
+        image = self._file.item("images", texture["source"])
+        if "bufferView" in image:
+            view = self._file.item("bufferViews", image["bufferView"])
+            begin = view.get("byteOffset", 0)
+            content = self._file.buffer(view["buffer"])[begin : begin + view["byteLength"]]
+        else:
+            content = self._file.linked(image["uri"])
+        try:
+            return read_within(content, encoding).astype(np.float64)
+        except ValueError as error:
+            raise self._found.refuse(self.name, f"{feature}: an image that cannot be read ({error})") from None
 
 
 _MOSTLY = 0.5
 """Of what goes through a surface that a transparent one stands for; of less an opaque one does."""
 
 
-def _transparent(found: Import, used: Any, name: str, material: Material) -> Material:
+def _transparent(found: Import, used: Any, images: _Images, name: str, material: Material) -> Material:
     """Glass in the place of the material, where light goes through it.
 
     With a volume it is refracted. Without, it goes straight on, as through one face of no index.
@@ -144,14 +214,27 @@ def _transparent(found: Import, used: Any, name: str, material: Material) -> Mat
     if volume.get("thicknessFactor", 0.0) == 0.0:
         found.instead(name, "glass without a volume", "a face that light goes straight through, and reflects nothing")
         ior = 1.0
-    red, green, blue = np.clip(surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3], 0.0, 1.0).tolist()
+    if "metallicRoughnessTexture" in surface:
+        found.instead(name, "metallicRoughnessTexture of glass", "its factor alone")
+    if "baseColorTexture" in surface:
+        found.instead(name, "baseColorTexture of glass", "its mean")
+    color = images.read("baseColorTexture", surface, encoded=True)[0].reshape(-1, 3).mean(axis=0)
+    tint = np.clip(color * surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3], 0.0, 1.0)
     gloss = extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0)
-    return Material(BLACK, gloss, roughness, transparency=share, ior=ior, tint=(red, green, blue))
+    return Material(BLACK, gloss, roughness, transparency=share, ior=ior, tint=tuple(tint.tolist()))
 
 
-def _material(found: Import, file: File, used: Any, name: str, tint: np.ndarray) -> tuple[Material, Color]:
+def _colored(values: np.ndarray, wrap: Wrap) -> Color | Texture:
+    """A colour, or an image of texels (H, W, 3)."""
+    if values.ndim == 3:
+        return Texture(values, wrap)
+    red, green, blue = values.tolist()
+    return red, green, blue
+
+
+def _material(found: Import, used: Any, tint: np.ndarray, images: _Images) -> tuple[Material, Color | Texture]:
     """Surface and radiance of a material described."""
-    extensions = used.get("extensions", {})
+    extensions, name = used.get("extensions", {}), images.name
     for extension in ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness"):
         if extension in extensions:
             raise found.refuse(name, extension)
@@ -159,22 +242,19 @@ def _material(found: Import, file: File, used: Any, name: str, tint: np.ndarray)
         if extension not in _KNOWN:
             found.instead(name, extension, "the material without it")
     surface = used.get("pbrMetallicRoughness", {})
-    color = np.array(surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3], float) * tint
-    metallic, roughness = surface.get("metallicFactor", 1.0), surface.get("roughnessFactor", 1.0)
-    if "baseColorTexture" in surface:
-        color *= _mean(found, file, name, "baseColorTexture", surface, encoded=True)
-    if "metallicRoughnessTexture" in surface:
-        _, green, blue = _mean(found, file, name, "metallicRoughnessTexture", surface, encoded=False)
-        metallic, roughness = metallic * blue, roughness * green
+    texels, wrap = images.read("baseColorTexture", surface, encoded=True)
+    values = texels * surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3] * tint
+    color = _colored(values, wrap)
     for texture in ("normalTexture", "occlusionTexture"):
         if texture in used:
             found.instead(name, texture, "the material without it")
     if used.get("alphaMode", "OPAQUE") != "OPAQUE":
         found.instead(name, f"alphaMode {used['alphaMode']}", "an opaque surface")
-    emission = _emission(found, file, used, name)
-    if any(emission) and used.get("doubleSided", False):
+    emission = _emission(used, images)
+    shines = any(largest(emission))
+    if shines and used.get("doubleSided", False):
         found.instead(name, "a lamp of two sides", "one that shines from the front")
-    if not any(emission) and not used.get("doubleSided", False):
+    if not shines and not used.get("doubleSided", False):
         found.instead(name, "one side, for doubleSided is not true", "a surface of two sides")
     specular = extensions.get("KHR_materials_specular", {})
     index = extensions.get("KHR_materials_ior", {}).get("ior", 1.5)
@@ -184,48 +264,40 @@ def _material(found: Import, file: File, used: Any, name: str, tint: np.ndarray)
     if "specularColorFactor" in specular:
         found.instead(name, "specularColorFactor", "its mean")
         f0 *= float(np.mean(specular["specularColorFactor"]))
+    metallic, roughness = surface.get("metallicFactor", 1.0), surface.get("roughnessFactor", 1.0)
     if metallic == 0.0 and specular.get("specularFactor", 1.0) == 0.0:
-        return Material(tuple(color.tolist()), 0.0), emission
-    if not any(color) and any(emission):
+        return Material(color, 0.0), emission
+    if not values.any() and shines:
         # Black but for a dielectric's reflection, which is what a lamp loses in `Import.add`.
-        return coated(color.tolist(), metallic=0.0, f0=f0, roughness=roughness**2), emission
+        return coated((0.0, 0.0, 0.0), metallic=0.0, f0=f0, roughness=roughness**2), emission
+    texels, wrap = images.read("metallicRoughnessTexture", surface, encoded=False)
+    if metallic != 0.0 and np.ptp(texels[..., 2]) > 0.0:
+        found.instead(name, "metallicRoughnessTexture, whose metallic part is an image", "its mean")
+    if metallic != 0.0 and values.ndim == 3:
+        found.instead(name, "baseColorTexture of a metal, whose reflectance is an image", "its mean")
+    metallic *= float(np.mean(texels[..., 2]))
+    rough = roughness * texels[..., 1]
+    said = f"{rough:g}" if rough.ndim == 0 else "of an image"
     found.instead(
         name,
-        f"GGX's lobe, metallic {metallic:g}, roughness {roughness:g}, F0 {f0:g}",
+        f"GGX's lobe, metallic {metallic:g}, roughness {said}, F0 {f0:g}",
         "Beckmann's of the same alpha, equal at normal incidence",
     )
-    return coated(color.tolist(), metallic=metallic, f0=min(f0, 1.0), roughness=roughness**2), emission
+    mean = values.reshape(-1, 3).mean(axis=0).tolist()
+    lobe = coated(mean, metallic=metallic, f0=min(f0, 1.0), roughness=float(np.mean(rough)) ** 2)
+    if rough.ndim:
+        lobe = attrs.evolve(lobe, roughness=Texture(np.clip(rough**2, MIRROR, 1.5), wrap))
+    return attrs.evolve(lobe, color=color), emission
 
 
-def _emission(found: Import, file: File, used: Any, name: str) -> Color:
+def _emission(used: Any, images: _Images) -> Color | Texture:
     strength = used.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
     radiance = np.array(used.get("emissiveFactor", (0.0, 0.0, 0.0)), float) * strength
-    if "emissiveTexture" in used and radiance.any():
-        radiance *= _mean(found, file, name, "emissiveTexture", used, encoded=True)
-    red, green, blue = radiance.tolist()
-    return red, green, blue
-
-
-def _mean(found: Import, file: File, name: str, feature: str, holder: Any, *, encoded: bool) -> np.ndarray:
-    """Mean (3,) of a texture's texels; linear, whether they are encoded as sRGB or not."""
-    found.instead(name, feature, "its mean")
-    texture = file.item("textures", holder[feature]["index"])
-    if "source" not in texture:
-        raise found.refuse(name, f"{feature} of {', '.join(texture.get('extensions', {})) or 'no image'}")
-    image = file.item("images", texture["source"])
-    if "bufferView" in image:
-        view = file.item("bufferViews", image["bufferView"])
-        begin = view.get("byteOffset", 0)
-        content = file.buffer(view["buffer"])[begin : begin + view["byteLength"]]
-    else:
-        content = file.linked(image["uri"])
-    try:
-        texels = np.asarray(PIL.Image.open(io.BytesIO(content)).convert("RGB"), float) / 255.0
-    except OSError as error:
-        raise found.refuse(name, f"{feature}: an image that cannot be read ({error})") from None
-    if encoded:
-        texels = decoded(texels)
-    return texels.mean(axis=(0, 1))
+    if not radiance.any():
+        return BLACK
+    texels, wrap = images.read("emissiveTexture", used, encoded=True)
+    values = radiance * texels
+    return _colored(values, wrap) if values.any() else BLACK
 
 
 def _light(found: Import, file: File, number: int, light: int) -> None:

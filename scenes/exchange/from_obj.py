@@ -1,7 +1,7 @@
 """A scene from OBJ with its MTL: an object for each name and material; `Kd` reflects, `Ke` is the radiance of a lamp.
 
-Coordinates stay as they are. OBJ has no camera, point light or sky; what is assumed in their place is listed. The
-camera of our own export is read from its comment.
+Either is times the image of its map. Coordinates stay as they are. OBJ has no camera, point light or sky; what is
+assumed in their place is listed. The camera of our own export is read from its comment.
 """
 
 import re
@@ -31,6 +31,8 @@ _HEAD = 65536
 """Bytes in which that comment is."""
 _PLAIN = (0, 1)
 """Values of `illum` that mean no highlight."""
+_IMAGES = {"map_Kd": "Kd", "map_Ke": "Ke"}
+"""Maps that are read, and what they are times."""
 
 
 @attrs.define
@@ -40,7 +42,7 @@ class _Look:
     name: str
     Kd: Color | None = None
     Ks: Color = BLACK
-    Ke: Color = BLACK
+    Ke: Color | None = None
     Ns: float = 0.0
     illum: int | None = None
     opacity: float = 1.0
@@ -56,7 +58,7 @@ def read(path: Path, *, approximate: bool) -> Scene:
     looks: dict[str, _Look] = {}
     for library in content.libraries:
         looks |= _library(path.parent / library)
-    if any("map_Kd" in look.maps for look in looks.values()):
+    if any({*_IMAGES} & {*look.maps} for look in looks.values()):
         content = obj.parse(path, mapped=True)
     pairs = [*zip(content.objects, content.materials, strict=True)]
     starts = np.cumsum(content.counts) - content.counts
@@ -112,11 +114,12 @@ def _object(
     # By corners, for a vertex may lie in several places of an image.
     triangles = triangulate(content.points[points], np.arange(len(points)), counts)
     normals = content.normals[pairs[:, 1]] if smooth else None
-    uv = content.places[places[triangles]] if material.textures else None
+    laid = bool(material.textures) or isinstance(emission, Texture)
+    uv = content.places[places[triangles]] if laid else None
     found.add(name, vertices, indices.ravel()[triangles], material, normals=normals, emission=emission, uv=uv)
 
 
-def _surface(found: Import, look: _Look, mapped: bool) -> tuple[Material, Color]:
+def _surface(found: Import, look: _Look, mapped: bool) -> tuple[Material, Color | Texture]:
     """Surface and radiance of a material; Phong's lobe becomes one of Beckmann's of the same width and reflectance.
 
     `mapped`: whether all corners have a place in an image.
@@ -126,27 +129,35 @@ def _surface(found: Import, look: _Look, mapped: bool) -> tuple[Material, Color]
         found.instead(name, f"illum {look.illum}, which transmits light", "an opaque surface")
     if look.opacity < 1.0:
         found.instead(name, f"an opacity of {look.opacity:g}", "an opaque surface")
-    if look.Kd is None and not any(look.Ke) and "map_Kd" not in look.maps:
+    diffuse, radiance = (_values(found, look, feature, mapped) for feature in _IMAGES)
+    if look.Kd is None and not radiance.any() and "map_Kd" not in look.maps:
         found.assume(f"{name} is black, for it has no Kd")
-    # Three numbers, or as many for each texel.
-    diffuse = np.array(look.Kd or ((1.0, 1.0, 1.0) if "map_Kd" in look.maps else BLACK))
-    for feature, file in look.maps.items():
-        if feature == "map_Kd" and mapped and feature not in look.altered:
-            diffuse = diffuse * _texels(file)
-        elif feature == "map_Kd":
-            found.instead(name, f"{feature} {'with options' if mapped else 'without vt at all corners'}", "its mean")
-            diffuse = diffuse * _texels(file).mean(axis=(0, 1))
-        else:
+    for feature in look.maps:
+        if feature not in _IMAGES:
             found.instead(name, feature, "the material without it")
+    emission = _color(radiance) if radiance.any() else BLACK
     if not any(look.Ks) or look.illum in _PLAIN:
-        return Material(_color(diffuse), 0.0), look.Ke
+        return Material(_color(diffuse), 0.0), emission
     gloss = max(look.Ks)
     found.instead(
         name, f"Phong's lobe, Ks {' '.join(map(str, look.Ks))}, Ns {look.Ns:g}", "Beckmann's of about its width"
     )
     under = _color(np.minimum(diffuse / (1.0 - gloss), 1.0) if gloss < 1.0 else 0.0 * diffuse)
     alpha = float(np.clip(np.sqrt(2.0 / (look.Ns + 2.0)), MIRROR, 1.5))
-    return Material(under, gloss, alpha, tuple(min(s / gloss, 1.0) for s in look.Ks)), look.Ke
+    return Material(under, gloss, alpha, tuple(min(s / gloss, 1.0) for s in look.Ks)), emission
+
+
+def _values(found: Import, look: _Look, feature: str, mapped: bool) -> np.ndarray:
+    """Three numbers, or (H, W, 3), as many for each texel: what a map says times what the material says."""
+    given = getattr(look, _IMAGES[feature])
+    if feature not in look.maps:
+        return np.array(given or BLACK)
+    texels = _texels(look.maps[feature])
+    if not mapped or feature in look.altered:
+        unsaid = "with options" if mapped else "without vt at all corners"
+        found.instead(f"material {look.name!r}", f"{feature} {unsaid}", "its mean")
+        texels = texels.mean(axis=(0, 1))
+    return texels if given is None else np.array(given) * texels
 
 
 def _color(values: np.ndarray) -> Color | Texture:

@@ -27,6 +27,7 @@ from termwise.scenes.model import (
     largest,
 )
 from termwise.scenes.strict import FileError
+from termwise.scenes.textures import Texture
 
 MIRROR = 0.01
 """Roughness that stands for none: a smaller one is a lobe that float32 hardly samples."""
@@ -127,7 +128,7 @@ class Import:
         material: Material,
         *,
         normals: np.ndarray | None = None,
-        emission: Color = BLACK,
+        emission: Color | Texture = BLACK,
         uv: np.ndarray | None = None,
     ) -> None:
         """Add an object.
@@ -138,11 +139,11 @@ class Import:
         points, faces : (V, 3) and (F, 3).
         material : of its surface; with emission black, whatever it is.
         normals : (V, 3) shading normals of any length above 0, or None.
-        emission : radiance.
+        emission : radiance, a colour or an image.
         uv : (F, 3, 2) where in an image the faces' corners lie, or None.
         """
         mesh = self._mesh(name, points, faces, uv)
-        if any(emission):
+        if any(largest(emission)):
             if any(largest(material.color)) or largest(material.gloss) > 0.0 or material.transparency > 0.0:
                 self.instead(name, "a lamp that reflects", "a black one")
             if material.transparency > 0.0:

@@ -176,7 +176,7 @@ def _shape(root: ElementTree.Element, thing: dict[str, Any], name: str, folder: 
     _value(shape, "boolean", "face_normals", "true" if thing["normals"] is None else "false")
     _bsdf(shape, thing["material"], folder)
     if any(thing["emission"]):
-        _value(_plugin(shape, "emitter", "area"), "rgb", "radiance", _numbers(thing["emission"]))
+        _color(_plugin(shape, "emitter", "area"), "radiance", thing["emission"], folder)
 
 
 def _diffuse(parent: ElementTree.Element, share: float, color: Any, folder: str) -> None:

@@ -46,9 +46,9 @@ CONVENTIONS = {
     "normals": "unit shading normals at the vertices, interpolated; null: the face's own",
     "material": "f = (1 - gloss) color / pi + gloss F D G / (4 cos_i cos_o): F = f0 + (1 - f0) (1 - cos)^5, "
     "D Beckmann's with alpha = roughness, G = G1(i) G1(o) Smith's exact",
-    "image": "in the place of a colour, or grey of a number, of a material: linear, bilinear between centres of "
-    "texels, of the uv of the face's corners: (0, 0) is the lower left corner of the image, v upwards; beyond [0, 1] "
-    "it repeats, or with wrap clamp its border goes on; a sample is the value at one point",
+    "image": "in the place of a colour, or grey of a number, of a material, or of an emission: linear, bilinear "
+    "between centres of texels, of the uv of the face's corners: (0, 0) is the lower left corner of the image, v "
+    "upwards; beyond [0, 1] it repeats, or with wrap clamp its border goes on; a sample is the value at one point",
     "translucency": "where a material has it, s: color is divided, (1 - s) color / pi for light of the viewer's side, "
     "s color / pi for light of the other side, which crosses the surface; without, s is 0",
     "fresnel": "of a material that has fresnel = dielectric F is that of a smooth surface between two media, "
@@ -121,7 +121,7 @@ def describe(scene: Scene, *, sky_file: str = "sky.exr") -> dict[str, Any]:
 
 def images_of(scene: Scene) -> dict[str, Texture]:
     """The images of all surfaces by the names of their files, which are named by what they hold."""
-    images = (image for thing in scene.objects for image in thing.surface.textures.values())
+    images = (image for thing in scene.objects for image in thing.images.values())
     return {_image_file(image): image for image in images}
 
 
@@ -132,7 +132,7 @@ def _image_file(image: Texture) -> str:
 def refuse_images(scene: Scene, what: str) -> None:
     """Refuse a scene with an image on a surface, for a format that is written without."""
     for thing in scene.objects:
-        for name in thing.surface.textures:
+        for name in thing.images:
             raise ValueError(
                 f"{scene.name}: objects: {thing.name!r}: {name}: is an image, and {what} is written without: allowed "
                 "are neutral and mitsuba"
@@ -140,7 +140,7 @@ def refuse_images(scene: Scene, what: str) -> None:
 
 
 def _said(value: Any) -> Any:
-    """A field of a material."""
+    """A field of a material, or an emission."""
     if isinstance(value, Texture):
         return {"image": _image_file(value), "wrap": value.wrap}
     return list(value) if isinstance(value, tuple) else value
@@ -148,7 +148,7 @@ def _said(value: Any) -> Any:
 
 def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
     surface = thing.surface if scene.toggles.reflections else attrs.evolve(thing.surface, gloss=0.0)
-    mapped = {"uv": thing.mesh.uv.tolist()} if thing.mesh.uv is not None and surface.textures else {}
+    mapped = {"uv": thing.mesh.uv.tolist()} if thing.mesh.uv is not None and thing.images else {}
     # An older reader is told of nothing that he would not understand.
     unsaid = [] if thing in scene.translucent else ["translucency"]
     unsaid += [] if surface.transparency > 0.0 else ["transparency", "tint"]
@@ -161,7 +161,7 @@ def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
         "faces": thing.mesh.faces.tolist(),
         "normals": None if thing.mesh.normals is None or thing.emits else thing.mesh.normals.tolist(),
         "material": {name: _said(getattr(surface, name)) for name in said},
-        "emission": list(thing.emission) if lit else [0.0, 0.0, 0.0],
+        "emission": _said(thing.emission) if lit and thing.emits else [0.0, 0.0, 0.0],
         **mapped,
     }
 

@@ -123,11 +123,12 @@ class File:
                         triangles = triangles[:, [0, 2, 1]]
                 yield number, primitive, points, triangles
 
-    def places(self, primitive: Any) -> np.ndarray | None:
+    def places(self, primitive: Any, number: int = 0) -> np.ndarray | None:
         """Where in an image the points of a primitive lie (V, 2), v upwards; None where it does not say."""
-        if "TEXCOORD_0" not in primitive["attributes"]:
+        name = f"TEXCOORD_{number}"
+        if name not in primitive["attributes"]:
             return None
-        return downwards(self.accessor(primitive["attributes"]["TEXCOORD_0"]))
+        return downwards(self.accessor(primitive["attributes"][name]))
 
     def item(self, kind: str, number: int) -> Any:
         """What has a number in one of the lists: Python would take -1 for the last."""

@@ -105,6 +105,9 @@ IMAGES = Case("textured two_cubes", "ambient", "cosine", samples=64)
 GLOSSY_IMAGES = Case("textured glossy two_cubes", "direct", "path", samples=64)
 GRAINED = Case("textured grained two_cubes", "specular", "vndf", samples=512)
 IMAGE_PHOTONS = Case("textured cornell_box_unshadowed", "direct", "photon-map", samples=16)
+SCREEN = Case("screened cornell_box", "direct", "path", samples=64)
+SCREEN_PHOTONS = Case("screened cornell_box_unshadowed", "direct", "photon-map", samples=16)
+SCREEN_DRAWN = Case("drawn screened leaf", "background", "seen", samples=64)
 ALL_LIGHTS = Case("lights", "direct", "path", samples=256)
 LEAF_AMBIENT = Case("leaf", "ambient", "cosine", samples=64)
 LEAF = Case("leaf", "direct", "path", samples=256)
@@ -922,8 +925,79 @@ PLANTS = (
         "image: glTF's v taken for ours",
         Test("tests/unit/test_textures.py::test_one_quad_lies_alike_whatever_file_holds_it"),
         "scenes/meshes/glb.py",
-        'return downwards(self.accessor(primitive["attributes"]["TEXCOORD_0"]))',
-        'return self.accessor(primitive["attributes"]["TEXCOORD_0"])',
+        'return downwards(self.accessor(primitive["attributes"][name]))',
+        'return self.accessor(primitive["attributes"][name])',
+    ),
+    Plant("lamp's image: upside down", SCREEN, _IMAGE, "_along(1.0 - v, ", "_along(v, "),
+    Plant(
+        "lamp's image: its brightest everywhere",
+        SCREEN,
+        "renderer/material.py",
+        "color_at(images, emission[thing], face, b1, b2)",
+        "vec3(materials.emission, thing)",
+    ),
+    Plant(
+        "lamp's image: its brightest where it is drawn",
+        SCREEN_DRAWN,
+        "renderer/terms/background.py",
+        "emission(scene, surface.face, surface.b1, surface.b2)",
+        "column(scene.materials.emission.T, surface.object)",
+    ),
+    Plant(
+        "lamp's image: faces weighed by what they send twice",
+        SCREEN,
+        _FACE,
+        "area[some] * of_faces[some])",
+        "area[some] * of_faces[some])._replace(area=area[some] * of_faces[some] / radiance[some])",
+    ),
+    Plant(
+        "lamp's image: photons of uniform power",
+        SCREEN_PHOTONS,
+        _FACE,
+        "    radiance = emission(scene, face, b1, b2)",
+        "    radiance = emission(scene, face, 1.0 / 3.0, 1.0 / 3.0)",
+    ),
+    Plant(
+        "lamp's image: a corner for the sampled point",
+        SCREEN,
+        "renderer/light_sampling.py",
+        "emission(scene, entry(samples.target, i), samples.b1[i], samples.b2[i])",
+        "emission(scene, entry(samples.target, i), samples.b2[i], samples.b1[i])",
+    ),
+    Plant(
+        "lamp's image: its scale forgotten",
+        Test("tests/unit/test_textures.py::test_an_emission_may_be_an_image"),
+        "scenes/load.py",
+        "texels = texels * np.float64(self.scale)",
+        "texels = texels * 1.0",
+    ),
+    Plant(
+        "lamp's image: no photons where none was looked for",
+        Test("tests/unit/test_textures.py::test_the_chances_of_a_lamp_are_above_0_wherever_it_may_shine"),
+        _MODEL,
+        "return 0.5 * (here / len(_MIDDLES) + self.emission.texels.mean(axis=0, dtype=np.float64).mean(axis=0))",
+        "return here / len(_MIDDLES)",
+    ),
+    Plant(
+        "glTF: sRGB read as linear",
+        Test("tests/unit/test_textures.py::test_a_scene_of_glb_has_its_images"),
+        "scenes/exchange/from_gltf.py",
+        '"sRGB" if encoded else "linear"',
+        '"linear"',
+    ),
+    Plant(
+        "glTF: the factor on an image forgotten",
+        Test("tests/unit/test_textures.py::test_a_scene_of_glb_has_its_images"),
+        "scenes/exchange/from_gltf.py",
+        'values = texels * surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3] * tint',
+        "values = texels * tint",
+    ),
+    Plant(
+        "glTF: roughness taken for alpha",
+        Test("tests/unit/test_textures.py::test_roughness_of_glb_is_its_green_squared"),
+        "scenes/exchange/from_gltf.py",
+        "np.clip(rough**2, MIRROR, 1.5)",
+        "np.clip(rough, MIRROR, 1.5)",
     ),
     Plant(
         "keys: blind to texels",

@@ -91,6 +91,23 @@ def _textured(scene: Scene) -> Scene:
     return attrs.evolve(scene, objects=tuple(map(laid, scene.objects)))
 
 
+def _screened(scene: Scene) -> Scene:
+    """All lamps under an image that is brighter along x and y, of which they show the lower left part."""
+    texels = np.random.default_rng(9).uniform(0.0, 2.0, (6, 5, 3)).astype(np.float32)
+    texels *= np.linspace(20.0, 1.0, 6)[:, None, None] * np.linspace(1.0, 3.0, 5)[None, :, None]
+
+    def shown(thing: Object) -> Object:
+        if not thing.emits:
+            return thing
+        corners = thing.mesh.vertices[thing.mesh.faces]
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        places = (corners - low)[..., :2] / (high - low)[:2] * (0.9, 0.4)
+        mesh = attrs.evolve(thing.mesh, uv=np.float32(places).astype(float))
+        return attrs.evolve(thing, mesh=mesh, emission=Texture(texels))
+
+    return attrs.evolve(scene, objects=tuple(map(shown, scene.objects)))
+
+
 def _grained(scene: Scene) -> Scene:
     """Gloss and roughness as images, on what has an image already."""
     values = np.random.default_rng(8).uniform(0.0, 0.6, (2, 3, 4))
@@ -138,6 +155,7 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "bright": lambda scene: attrs.evolve(scene, irradiance="E"),
     "textured": _textured,
     "grained": _grained,
+    "screened": _screened,
     "drawn": lambda scene: attrs.evolve(scene, draw_lights=True),
     "deep": lambda scene: attrs.evolve(scene, max_bounces=8),
     "frosted": _frosted,
@@ -158,7 +176,7 @@ class Case:
         `panorama`: another sky, `skylit`: the sky is the ambient light, `shadowed` and `bright`: choices of the paper,
         `drawn`: lights are seen, `deep`: longer chains, `frosted`: all glass is rough, `pool`: water over all that is
         seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces, `grained`: and their gloss and
-        roughness too.
+        roughness too, `screened`: an image on all lamps.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.

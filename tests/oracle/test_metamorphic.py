@@ -94,12 +94,14 @@ def rendered(scene: Scene, term: str, variant: str, *, samples: int = SAMPLES, s
 
 
 def suitable(term: Term, variant: str) -> list[Scene]:
-    """Scenes that have the term, of those that the variant takes; `leaf`, whose kernels are its own, has its test."""
+    """Scenes that have the term, of those that the variant takes, but those whose kernels are their own."""
     found = renderer.find(term, variant)
     return [
         scene
         for scene in scenes().values()
-        if skipped(scene, term) is None and scene.photons.scattering in found.scatterings and scene.name != "leaf"
+        if skipped(scene, term) is None
+        and scene.photons.scattering in found.scatterings
+        and scene.name not in ("leaf", "wild")
     ]
 
 

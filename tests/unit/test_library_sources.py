@@ -14,6 +14,7 @@ import pytest
 import trimesh
 
 from termwise.scenes.load import LIBRARY, library, load
+from termwise.scenes.meshes import read_mapped
 from termwise.scenes.model import largest, least
 
 DIGITS = 0.51e-4  # the scene files give four decimals
@@ -154,6 +155,18 @@ def test_the_checker_is_the_script_s(source):
     dark, light = np.unique(texture.texels)
     assert (dark, light) == pytest.approx((0.0648, 0.6724), abs=5e-4)
     assert (texture.texels[..., 0] == light).sum() == made.size / 2
+
+
+def test_the_stone_and_its_images_are_made_by_their_script(source):
+    """Rounded to float32 and to whole numbers; no face of the stone lies across the seam of its image."""
+    wild = source("wild")
+    vertices, faces, uv = read_mapped(LIBRARY / "meshes" / "stone.ply")
+    for kept, made in zip((vertices, faces, uv), wild.stone(), strict=True):
+        np.testing.assert_allclose(kept, made, atol=1e-6)
+    assert np.ptp(uv[..., 0], axis=1).max() < 0.5
+    for name, made in wild.IMAGES.items():
+        kept = np.asarray(PIL.Image.open(LIBRARY / "images" / name), int)
+        assert np.abs(kept - made()).max() <= 1
 
 
 @pytest.mark.parametrize("name", library())

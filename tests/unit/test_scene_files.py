@@ -341,6 +341,7 @@ def test_the_names_of_the_library():
         "monkey",
         "smooth_monkey",
         "two_cubes",
+        "wild",
     )
 
 

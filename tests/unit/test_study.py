@@ -37,7 +37,7 @@ def test_presets_measure_every_scene_with_enough_replicates(name: str):
     preset = study.load(name)
     # The paper's formulas say nothing of interpolated normals, and of no light but its points and faces.
     left_out = {"smooth_monkey"} if preset.folder == "variants" else set()
-    left_out |= {"glass", "leaf", "lights"} if name != "full" else set()
+    left_out |= {"glass", "leaf", "lights", "wild"} if name != "full" else set()
     assert set(preset.scenes) == set(library()) - left_out
     assert preset.replicates >= 16
     assert preset.reference_replicates >= 16
@@ -62,7 +62,7 @@ def test_no_default_row_is_judged_with_an_allowance(name: str):
                 if variant.judged:
                     assert (limit.kernel is not None) == variant.kernel_based(subject.scene)
                     by_kernel += variant.kernel_based(subject.scene)
-    assert by_kernel == 3 + sum(name in preset.scenes for name in ("glass", "leaf", "lights"))
+    assert by_kernel == 3 + sum(name in preset.scenes for name in ("glass", "leaf", "lights", "wild"))
     assert any(thing.mesh.normals is not None for subject in every for thing in subject.scene.objects)
 
 

@@ -178,6 +178,22 @@ def test_a_number_is_grey_or_one_channel(tmp_path: Path):
             r"roughness = 'k.npy': texel \[0.0\] in row 0, .* \[0.0001, 1.5\]",
         ),
         ('"a.png"', r"objects\[0\].color = 'a.png': allowed is a list of 3, or a table with the file of an"),
+        ('{ file = "a.png", scale = 2.0 }', r"color = 'a.png': scale = 2.0: allowed is none, but of emission"),
+        ('[0, 0, 0]\nemission = { file = "a.png", scale = -1.0 }', r"emission: scale = -1.0: allowed is a number in"),
+        (
+            '[0, 0, 0]\nemission = { file = "a.png", channel = "R" }',
+            r"emission = 'a.png': channel = 'R': allowed is none",
+        ),
+        (
+            '[0, 0, 0]\nemission = { file = "nan.npy" }',
+            r"emission = 'nan.npy': texel \[0.5, nan, 0.5\] in row 1, column 0: allowed is a number in \[0, inf\)",
+        ),
+        (
+            '[0, 0, 0]\nemission = { file = "bright.npy", scale = 1e39 }',
+            r"emission = 'bright.npy': texel \[inf, .* in row 0, column 0: allowed is a number in \[0, inf\)",
+        ),
+        ("[0, 0, 0]\nemission = [1.0, -1.0, 1.0]", r"emission = \(1.0, -1.0, 1.0\): allowed is a number in \[0, inf\)"),
+        ('[0, 0, 0]\nemission = "a.png"', r"objects\[0\].emission = 'a.png': allowed is a list of 3, or a table"),
     ],
 )
 def test_what_is_wrong_is_one_line(tmp_path: Path, color: str, message: str):
@@ -240,6 +256,96 @@ def test_the_plan_names_images_where_they_are_read():
     assert told == dict.fromkeys(("ambient", "direct"), "color of floor (5 x 3); bilinear")
 
 
+# Lamps.
+
+
+def lamp(**changes: Any) -> Object:
+    """The square of `textured`, above it, that shines by an image."""
+    square = textured().objects[0]
+    above = Mesh.from_arrays(square.mesh.vertices + (0.0, 0.0, 1.0), square.mesh.faces, uv=square.mesh.uv)
+    return attrs.evolve(Object("lamp", above, emission=Texture(10.0 * SRGB, "clamp")), **changes)
+
+
+def test_an_emission_may_be_an_image(tmp_path: Path):
+    """`scale` times its linear values; as an image of no light it is no lamp, and the material is seen."""
+    png(tmp_path / "a.png")
+    thing = scene_of(tmp_path, '[0, 0, 0]\nemission = { file = "a.png", scale = 12.5, wrap = "clamp" }').objects[0]
+    assert isinstance(thing.emission, Texture)
+    np.testing.assert_allclose(thing.emission.texels, 12.5 * SRGB, rtol=1e-6)
+    assert thing.emission.wrap == "clamp"
+    assert thing.emits
+    assert thing.mesh.uv is not None
+    png(tmp_path / "black.png", np.zeros((2, 2, 3), np.uint8))
+    dark = scene_of(tmp_path, '[0.5, 0.5, 0.5]\nemission = { file = "black.png" }')
+    assert not dark.objects[0].emits
+    assert dark.objects[0].surface.color == (0.5, 0.5, 0.5)
+    assert TABLE["direct"].absent(dark) == "the scene has no light"
+    with pytest.raises(FileError, match=r"objects: 'floor': emission: is an image, and nothing says how it lies"):
+        scene_of(tmp_path, '[0, 0, 0]\nemission = { file = "a.png" }', PLACES["sphere"])
+
+
+def test_the_chances_of_a_lamp_are_above_0_wherever_it_may_shine():
+    """One bright texel, which no point that is looked at lies in; half of a lamp of two triangles is counted so."""
+    texels = np.zeros((512, 512, 3), np.float32)
+    texels[100, 37] = 1e-30, 0.0, 0.0
+    assert (lamp(emission=Texture(texels)).radiances()[:, 0] > 0.0).all()
+    half = np.zeros((2, 2, 3), np.float32)
+    half[0] = 8.0  # the upper triangle's: three quarters of it lie there
+    np.testing.assert_allclose(lamp(emission=Texture(half, "clamp")).radiances(), [[3.0] * 3, [5.0] * 3])
+    assert lamp(emission=Texture(half, "clamp")).mean_radiance() == (4.0, 4.0, 4.0)
+    assert lamp(emission=(0.1, 0.2, 0.3)).mean_radiance() == (0.1, 0.2, 0.3)
+
+
+def test_keys_plan_and_files_know_the_image_of_a_lamp(tmp_path: Path):
+    """Ambient light reads nothing of it but that there is a lamp, and the background where lights are drawn alone."""
+    scene = textured(ambient=Ambient((1.0, 1.0, 1.0)))
+    floor = scene.objects[0]
+
+    def of(thing: Object, **changes: Any) -> Scene:
+        return attrs.evolve(scene, objects=(floor, thing), **changes)
+
+    def keys(each: Scene) -> dict[str, str]:
+        return {term: cells.content(each, VARIANTS[term][name], chain="next-event") for term, name in DEFAULTS.items()}
+
+    texels = 10.0 * SRGB
+    texels[0, 0, 0] += 1.0
+    for drawn in (False, True):
+        before = keys(of(lamp(), draw_lights=drawn))
+        assert before == keys(of(lamp(emission=Texture(10.0 * SRGB, "clamp")), draw_lights=drawn))
+        for other in (Texture(texels, "clamp"), Texture(10.0 * SRGB)):
+            after = keys(of(lamp(emission=other), draw_lights=drawn))
+            changed = {term for term in before if before[term] != after[term]}
+            assert changed == {"direct", "specular"} | ({"background"} if drawn else set())
+    variants = {term: VARIANTS[term][name] for term, name in DEFAULTS.items()}
+    told = {
+        step.term: step.reason
+        for step in plan(of(lamp(), draw_lights=True), variants)
+        if step.work == "images of surfaces"
+    }
+    of_floor, of_lamp = "color of floor (5 x 3)", "emission of lamp (5 x 3)"
+    assert told == {
+        "ambient": f"{of_floor}; bilinear",
+        "direct": f"{of_floor}, {of_lamp}; bilinear",
+        "background": f"{of_lamp}; bilinear",
+    }
+    shown = of(lamp(material=floor.material))
+    save(shown, tmp_path / "kept.toml")
+    assert load(tmp_path / "kept.toml").objects[1].emission == shown.objects[1].emission
+    path = neutral.write_neutral(shown, tmp_path)
+    described = json.loads(path.read_text())
+    jsonschema.validate(described, json.loads(neutral.SCHEMA.read_text()))
+    assert described["version"] == 2
+    emission = described["objects"][1]["emission"]
+    assert emission["wrap"] == "clamp"
+    np.testing.assert_array_equal(openexr.read(tmp_path / emission["image"], None)[0].pixels, np.float32(10.0 * SRGB))
+    np.testing.assert_array_equal(described["objects"][1]["uv"], shown.objects[1].mesh.uv)
+    alone = attrs.evolve(scene, objects=(lamp(),))
+    for module in (gltf, obj, pbrt):
+        with pytest.raises(ValueError, match="objects: 'lamp': emission: is an image, and .* is written without"):
+            module.write(alone, tmp_path / f"squares{module.SUFFIX}")
+    assert asked.total(alone).absent == "it has images on its surfaces, which engines are not asked for"
+
+
 # Meshes.
 
 SQUARE = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], float)
@@ -266,8 +372,8 @@ def write_texcoord(path: Path) -> None:
     path.write_text(f"{head}{rows}4 0 1 2 3 8 {' '.join(map(str, LIES.ravel()))}\n")
 
 
-def write_glb(path: Path, *, mapped: bool = True) -> None:
-    """By hand: glTF's v goes down."""
+def write_glb(path: Path, *, mapped: bool = True, **more: Any) -> None:
+    """By hand: glTF's v goes down. `more` is of the description; a material, where there are any, is the first."""
     points, places = SQUARE.astype("<f4").tobytes(), (LIES * (1, -1) + (0, 1)).astype("<f4").tobytes()
     indices = np.array([0, 1, 2, 0, 2, 3], "<u4").tobytes()
     data = points + places + indices
@@ -279,10 +385,17 @@ def write_glb(path: Path, *, mapped: bool = True) -> None:
     described = {
         "asset": {"version": "2.0"},
         "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": attributes, "indices": 2}]}],
+        "meshes": [
+            {
+                "primitives": [
+                    {"attributes": attributes, "indices": 2} | ({"material": 0} if "materials" in more else {})
+                ]
+            }
+        ],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": len(data)}],
+        **more,
     }
     text = json.dumps(described).encode()
     text += b" " * (-len(text) % 4)
@@ -363,6 +476,118 @@ def test_a_scene_of_obj_has_its_images(tmp_path: Path):
     (tmp_path / "a.mtl").write_text(library.replace("a.png", "none.png"))
     with pytest.raises(FileError, match=r"none.png: cannot be read: No such file"):
         load(tmp_path / "mapped.obj")
+
+
+def test_a_lamp_of_obj_has_its_image(tmp_path: Path):
+    """`map_Ke` times `Ke`, or alone; a lamp is black but for it."""
+    png(tmp_path / "a.png")
+    write_obj(tmp_path / "lamp.obj", "mtllib a.mtl\nusemtl screen\nf 1/1 2/2 3/3 4/4\n")
+    for given, factor in (("Ke 4 2 1\n", (4.0, 2.0, 1.0)), ("", (1.0, 1.0, 1.0))):
+        (tmp_path / "a.mtl").write_text(f"newmtl screen\nKd 0 0 0\n{given}map_Ke a.png\n")
+        thing = load(tmp_path / "lamp.obj").objects[0]
+        assert isinstance(thing.emission, Texture)
+        np.testing.assert_allclose(thing.emission.texels, SRGB * factor, rtol=1e-6)
+        np.testing.assert_allclose(np.asarray(thing.mesh.uv), LIES[thing.mesh.faces])
+    (tmp_path / "a.mtl").write_text("newmtl screen\nKd 0 0 0\nKe 0 0 0\nmap_Ke a.png\n")
+    assert not load(tmp_path / "lamp.obj").objects[0].emits
+    (tmp_path / "a.mtl").write_text("newmtl screen\nKd 0 0 0\nmap_Ke -s 2 2 1 a.png\n")
+    with pytest.raises(FileError, match="material 'screen': map_Ke with options: .* takes its mean"):
+        load(tmp_path / "lamp.obj")
+    found = load(tmp_path / "lamp.obj", approximate=True).objects[0].emission
+    assert found == pytest.approx(SRGB.mean(axis=(0, 1)), rel=1e-6)
+
+
+LAMBERT = {"KHR_materials_specular": {"specularFactor": 0.0}}
+
+
+def material_of(path: Path, *, approximate: bool = False, sampler: dict[str, int] | None = None, **said: Any) -> Object:
+    """What a GLB of the quad says of it, its images a.png; `said` is of the material, pbr of its first part."""
+    pbr = {"metallicFactor": 0.0, **said.pop("pbr", {})}
+    material = {"name": "tiles", "doubleSided": True, "extensions": LAMBERT, "pbrMetallicRoughness": pbr, **said}
+    texture = {"source": 0} | ({} if sampler is None else {"sampler": 0})
+    more = {"images": [{"uri": "a.png"}], "textures": [texture], "materials": [material]}
+    write_glb(path, **more, **({} if sampler is None else {"samplers": [sampler]}))
+    return load(path, approximate=approximate).objects[0]
+
+
+IMAGE = {"index": 0}
+BASE = {"baseColorFactor": [0.5, 1.0, 1.0, 1.0], "baseColorTexture": IMAGE}
+
+
+def test_a_scene_of_glb_has_its_images(tmp_path: Path):
+    """sRGB whatever its file says, times the factor, as its sampler goes on; alpha of an opaque material is no part."""
+    chunks = PIL.PngImagePlugin.PngInfo()
+    chunks.add(b"gAMA", (100_000).to_bytes(4, "big"))
+    alpha = np.full((*BYTES.shape[:2], 1), 7, np.uint8)
+    png(tmp_path / "a.png", np.concatenate([BYTES, alpha], axis=2), pnginfo=chunks)
+    for sampler, wrap in ((None, "repeat"), ({"wrapS": 33071, "wrapT": 33071}, "clamp"), ({}, "repeat")):
+        found = material_of(tmp_path / "a.glb", sampler=sampler, pbr=BASE)
+        color = found.material.color
+        assert isinstance(color, Texture)
+        np.testing.assert_allclose(color.texels, SRGB * (0.5, 1.0, 1.0), rtol=1e-6)
+        assert color.wrap == wrap
+        assert found.material.gloss == 0.0
+        # y of the file is up: (x, y, z) is at (x, -z, y).
+        corners, places = found.mesh.vertices[found.mesh.faces].reshape(-1, 3), np.asarray(found.mesh.uv).reshape(-1, 2)
+        for point, place in zip(corners, places, strict=True):
+            quad = (point[[0, 2]] == SQUARE[:, :2]).all(axis=1).argmax()
+            np.testing.assert_allclose(place, LIES[quad], atol=1e-7)
+    shifted = IMAGE | {"extensions": {"KHR_texture_transform": {"offset": [0.25, 0.5], "scale": [2.0, 0.5]}}}
+    moved = material_of(tmp_path / "a.glb", pbr={"baseColorTexture": shifted}).mesh
+    plain = material_of(tmp_path / "a.glb", pbr=BASE).mesh
+    down = 1.0 - np.asarray(plain.uv)[..., 1]
+    np.testing.assert_allclose(np.asarray(moved.uv)[..., 0], 2.0 * np.asarray(plain.uv)[..., 0] + 0.25, atol=1e-6)
+    np.testing.assert_allclose(1.0 - np.asarray(moved.uv)[..., 1], 0.5 * down + 0.5, atol=1e-6)
+
+
+def test_a_lamp_of_glb_has_its_image(tmp_path: Path):
+    png(tmp_path / "a.png")
+    said = {"emissiveFactor": [1.0, 0.5, 0.25], "emissiveTexture": IMAGE, "doubleSided": False}
+    strength = {"KHR_materials_emissive_strength": {"emissiveStrength": 8.0}}
+    black = {"baseColorFactor": [0.0, 0.0, 0.0, 1.0]}
+    found = material_of(tmp_path / "a.glb", extensions=LAMBERT | strength, pbr=black, **said)
+    assert isinstance(found.emission, Texture)
+    np.testing.assert_allclose(found.emission.texels, SRGB * (8.0, 4.0, 2.0), rtol=1e-6)
+    assert found.mesh.uv is not None
+
+
+def test_roughness_of_glb_is_its_green_squared(tmp_path: Path):
+    """Linear; the metallic share, blue, has to be one number, or its mean is taken and named."""
+    png(tmp_path / "a.png")
+    pbr = {"baseColorFactor": [0.5, 0.5, 0.5, 1.0], "metallicRoughnessTexture": IMAGE, "roughnessFactor": 0.5}
+    found = material_of(tmp_path / "a.glb", approximate=True, extensions={}, pbr=pbr).material
+    assert isinstance(found.roughness, Texture)
+    np.testing.assert_allclose(found.roughness.texels[..., 0], np.maximum((0.5 * SHARES[..., 1]) ** 2, 0.01), rtol=1e-6)
+    assert found.gloss == pytest.approx(0.04)
+    metal = pbr | {"metallicFactor": 1.0}
+    with pytest.raises(FileError, match="metallicRoughnessTexture, whose metallic part is an image: .* takes its mean"):
+        material_of(tmp_path / "a.glb", extensions={}, pbr=metal)
+    mean = float(SHARES[..., 2].mean())
+    found = material_of(tmp_path / "a.glb", approximate=True, extensions={}, pbr=metal).material
+    assert found.gloss == pytest.approx(mean + (1.0 - mean) * 0.04)
+
+
+@pytest.mark.parametrize(
+    ("info", "sampler", "message"),
+    [
+        ({"texCoord": 1}, None, "baseColorTexture without a TEXCOORD of its number"),
+        ({"extensions": {"KHR_texture_transform": {"rotation": 0.1}}}, None, "baseColorTexture that is turned"),
+        ({}, {"wrapS": 33648, "wrapT": 33648}, "baseColorTexture that is mirrored, or goes on otherwise along u"),
+        ({}, {"wrapS": 33071}, "baseColorTexture that is mirrored, or goes on otherwise along u"),
+        ({}, {"magFilter": 9728}, "baseColorTexture that is not interpolated"),
+    ],
+)
+def test_what_no_image_of_ours_is_is_named(tmp_path: Path, info: Any, sampler: Any, message: str):
+    """The mean stands for it where that is allowed, and is told."""
+    png(tmp_path / "a.png")
+    pbr = {"baseColorTexture": IMAGE | info}
+    with pytest.raises(FileError, match=f"material 'tiles': {message}.*: --approximate takes its mean"):
+        material_of(tmp_path / "a.glb", sampler=sampler, pbr=pbr)
+    found = material_of(tmp_path / "a.glb", approximate=True, sampler=sampler, pbr=pbr)
+    np.testing.assert_allclose(largest(found.material.color), SRGB.mean(axis=(0, 1)), rtol=1e-6)
+    (tmp_path / "a.png").write_bytes(b"no image")
+    with pytest.raises(FileError, match="baseColorTexture: an image that cannot be read .begins with b'no i': allowed"):
+        material_of(tmp_path / "a.glb", pbr=pbr)
 
 
 # Faces in one plane.
