@@ -223,7 +223,7 @@ def _diffuse(scene: Scene, things: Sequence[Object]) -> Scene:
     """The objects with their diffuse parts alone, at their weights."""
 
     def plain(material: Material) -> Material:
-        return attrs.evolve(material, color=scene.diffuse_weight(material), gloss=0.0, transparency=0.0, fresnel=None)
+        return attrs.evolve(material, color=scene.diffuse_weight(material), gloss=0.0, transparency=0.0, fresnel="auto")
 
     return attrs.evolve(scene, objects=tuple(attrs.evolve(each, material=plain(each.material)) for each in things))
 
