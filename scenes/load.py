@@ -161,11 +161,11 @@ class _Placed:
 
     def material(self, folder: Path) -> model.Material:
         """The material with its images."""
-        read: dict[str, Any] = {
-            name: value.read(folder, name) if isinstance(value, _Image) else value
-            for name, value in self.looks().items()
-        }
         try:
+            read: dict[str, Any] = {
+                name: value.read(folder, name) if isinstance(value, _Image) else value
+                for name, value in self.looks().items()
+            }
             return model.Material(**read)
         except ValueError as error:
             raise ValueError(f"objects: {self.name!r}: {error}") from None

@@ -43,6 +43,7 @@ class TermRow:
     beyond : scene -> what a pixel has that sees no object; None where that differs from pixel to pixel.
     beyond_is : that in words.
     limit : fields of a `Limit` that its integral depends on, constant factors apart.
+    seldom : whether few scenes have it: in the keys of the others is nothing of what it reads.
     """
 
     name: Term
@@ -55,6 +56,7 @@ class TermRow:
     beyond: Callable[[Scene], Color | None] = lambda scene: BLACK
     beyond_is: str = "nothing that has the term"
     limit: tuple[str, ...] = ()
+    seldom: bool = False
 
     def has(self, scene: Scene, surface: Material) -> bool:
         """Whether a surface may be other than black in the term."""
@@ -230,6 +232,7 @@ TABLE: dict[Term, TermRow] = {
             meets=("ambient", "direct", "specular"),
             sky=True,
             limit=("occluded", "scope", "ambient", "kernel"),
+            seldom=True,
         ),
         TermRow(
             "background",
@@ -265,10 +268,10 @@ def named() -> frozenset[str]:
 def content(scene: Scene, term: Term, *, without: Collection[str] = ()) -> str:
     """sha256 of what a term's image depends on in a scene: where it is equal, so is every byte of the image.
 
-    An absent term reads nothing: its image is black. `without` names fields that an estimate of it does not read.
+    `without` names fields that an estimate of it does not read.
     """
-    absent = TABLE[term].absent(scene) is not None
-    here = [] if absent else [each for each in reads_of(term) if each.when(scene)]
+    nothing = TABLE[term].seldom and TABLE[term].absent(scene) is not None
+    here = [] if nothing else [each for each in reads_of(term) if each.when(scene)]
     whole = {field for each in here if each.of is None for field in each.fields}
     return reads.digest(scene, without=(named() - whole) | set(without), seen=here)
 

@@ -131,7 +131,7 @@ def test_physical_parts_come_from_one_render(scene, renders, tmp_path):
 
 @pytest.mark.parametrize("change", ["scene", "limit", "spp", "seed", "sources", "by_second"])
 def test_whatever_matters_changes_the_name(scene, monkeypatch, change):
-    scene, limit = _painted(scene, gloss=0.5), correct("specular", "all")
+    limit = correct("specular", "all")
     before = store.key(scene, limit, spp=2, seed=1)
     if change == "scene":
         after = store.key(attrs.evolve(scene, sky=Sky((0.1, 0.2, 0.31))), limit, spp=2, seed=1)
