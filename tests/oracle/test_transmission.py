@@ -23,6 +23,7 @@ from termwise.scenes.analytic import plate
 from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, Scene, Sky, Vector
 from termwise.scenes.terms import Term
 from tests.oracle.test_reference_dielectric import albedos, fresnel
+from tests.scenes import small
 
 pytestmark = pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="needs a vectorised variant")
 
@@ -226,3 +227,11 @@ def test_a_row_is_its_reference(row: str):
         error = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 16)
         assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 4.5 * error).all()
         assert (error < noise * b.mean(axis=0)).all()
+
+
+def test_without_transparent_surfaces_the_term_is_black():
+    scene = small("two_cubes", 4)
+    black = reference.render(scene, "transmission", spp=1, replicates=2)
+    assert black.mean.shape == (4, 4, 3)
+    assert not black.mean.any()
+    assert not reference.has_second(scene, limits.named("transmission", scene))
