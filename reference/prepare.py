@@ -58,6 +58,9 @@ class Loaded:
 
         `by_second`: by the second integrator of the limit, see `second`.
         """
+        if limit["term"] == "transmission" and not self.description["transparent"]:
+            width, height = self.description["camera"]["resolution"]
+            return np.zeros((1, height, width, 3))
         if by_second:
             estimate = second.estimator(self, limit)
             return pixel_means(estimate, self.description["camera"], spp=spp, seed=seed)

@@ -31,7 +31,7 @@ from termwise.reports import cli
 from termwise.reports.results.exr import read_exr
 from termwise.scenes.analytic import closed_box
 from termwise.scenes.load import library, load
-from termwise.scenes.model import Color, Light, Mesh, Object, PointLight, Scene, SphereLight, SunLight, Vector
+from termwise.scenes.model import Color, Light, Mesh, Object, PointLight, Scene, SphereLight, SunLight, Vector, largest
 from termwise.scenes.terms import TERMS, Term, total
 from tests.scenes import of_every_kind, small
 
@@ -115,7 +115,7 @@ def brighter(scene: Scene, factor: float) -> Scene:
     texture = scene.sky.texture
     return attrs.evolve(
         scene,
-        objects=tuple(attrs.evolve(thing, emission=times(thing.emission)) for thing in scene.objects),
+        objects=tuple(attrs.evolve(thing, emission=times(largest(thing.emission))) for thing in scene.objects),
         lights=tuple(changed(light, times, light.sends) for light in scene.lights),
         ambient=attrs.evolve(scene.ambient, color=times(scene.ambient.color)),
         sky=attrs.evolve(

@@ -216,6 +216,39 @@ def test_a_lamp_lights_as_by_mitsubas_own_sampling(tmp_path: Path, wrap: str):
         assert (np.abs(found.mean(axis=0) - expected) < 4.5 * noise).all()
 
 
+def test_photons_of_a_lamp_carry_what_leaves_it():
+    """Their power is `pi ∫ L dA` by SciPy's lookups; those that start where it is black are none.
+
+    A second lamp of one radiance, as bright, gets its share of them.
+    """
+    scene = screen()
+    lamp = scene.objects[2]
+    assert isinstance(lamp.emission, Texture)
+    again = Object("plain", attrs.evolve(lamp.mesh, vertices=lamp.mesh.vertices + (0.0, 0.0, 1.0)), emission=(6.0,) * 3)
+    loaded = reference.loaded(attrs.evolve(scene, objects=(*scene.objects, again)))
+    from termwise.reference import kernel_reference
+
+    weights = np.random.default_rng(2).dirichlet((1.0, 1.0, 1.0), 4000)
+    places = np.einsum("nk,fkc->fnc", weights, np.asarray(lamp.mesh.uv))
+    at = (1.0 - places[..., 1]) * 4 - 0.5, places[..., 0] * 3 - 0.5
+    planes = np.moveaxis(lamp.emission.texels.astype(np.float64), 2, 0)
+    sent = np.stack([ndimage.map_coordinates(plane, at, order=1, mode="grid-wrap") for plane in planes], axis=-1)
+    area = 2.2 * 1.8
+    expected = np.pi * area * sent.mean(axis=(0, 1)) * loaded.description["scale"] ** 2
+    plain = np.pi * area * 6.0 * loaded.description["scale"] ** 2
+    described = loaded.description
+    surfaces = kernel_reference.surfaces_of(
+        loaded.scenes["direct"], described["parts"], described["varying"], described["lamp_means"]
+    )
+    assert surfaces.emitters[0].share == pytest.approx(expected.mean() / (expected.mean() + plain), rel=0.15)
+    origin, _, power = kernel_reference._emitted(surfaces.emitters, np.random.default_rng(1), 40_000)
+    assert power.any(axis=1).all()
+    of_screen = origin[:, 2] < origin[:, 2].mean()
+    np.testing.assert_allclose(power[of_screen].sum(axis=0), expected, rtol=0.03)
+    np.testing.assert_allclose(power[~of_screen].sum(axis=0), plain, rtol=0.03)
+    assert (np.ptp(power[of_screen], axis=0) > 0.0).all()
+
+
 CASES = {
     "ambient": ("ambient", "cosine", 32, Limit("ambient"), 128),
     "path": ("direct", "path", 64, Limit("direct", scope="all"), 256),
@@ -223,7 +256,6 @@ CASES = {
     "specular": ("specular", "vndf", 1024, Limit("specular", scope="all"), 2048),
     "lamp, path": ("direct", "path", 64, Limit("direct", scope="all"), 256),
     "lamp, photons": ("direct", "photon-map", 16, None, 16),
-    "lamp, nearest": ("direct", "nearest", 16, None, 16),
 }
 
 

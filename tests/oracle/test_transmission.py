@@ -5,6 +5,7 @@ interface alone shows the lobe's albedo over eta², by quadrature.
 """
 
 import math
+from typing import Any
 
 import attrs
 import numpy as np
@@ -14,12 +15,15 @@ import trimesh
 from termwise import reference
 from termwise.reference import backend
 from termwise.renderer import Engine, find
+from termwise.renderer.terms import Chain
 from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import Subject, own_limit
 from termwise.scenes import limits
 from termwise.scenes.analytic import plate
-from termwise.scenes.model import Ambient, Camera, Color, Material, Mesh, Object, Photons, Scene, Sky, Vector
+from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, Scene, Sky, Vector
+from termwise.scenes.terms import Term
 from tests.oracle.test_reference_dielectric import albedos, fresnel
+from tests.scenes import small
 
 pytestmark = pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="needs a vectorised variant")
 
@@ -28,8 +32,9 @@ TINT = (0.9, 0.6, 0.3)
 ETA = 1.5
 
 
-def glass(roughness: float = 1e-4, *, eta: float = ETA, g: float = 1.0, t: float = 1.0, **fields: Color) -> Material:
-    return Material(**({"color": (0.0, 0.0, 0.0)} | fields), gloss=g, roughness=roughness, transparency=t, ior=eta)
+def glass(roughness: float = 1e-4, *, eta: float = ETA, g: float = 1.0, t: float = 1.0, **fields: Any) -> Material:
+    said: dict[str, Any] = {"color": (0.0, 0.0, 0.0)} | fields
+    return Material(**said, gloss=g, roughness=roughness, transparency=t, ior=eta)
 
 
 def ball(name: str, radius: float, material: Material, *, inwards: bool = False) -> Object:
@@ -192,7 +197,7 @@ def test_light_that_never_gets_out_is_refused():
 
 
 # Roughness of the glass, term, variant, chain, our samples, Mitsuba's or its photon maps, and the noise that is left.
-ROWS = {
+ROWS: dict[str, tuple[float, Term, str, Chain, int, int, float]] = {
     "visible normals": (0.2, "transmission", "vndf", "path", 256, 128, 0.02),
     "uniform directions": (0.8, "transmission", "uniform", "path", 4096, 128, 0.05),
     "reflected first": (0.2, "specular", "vndf", "path", 256, 128, 0.02),
@@ -206,7 +211,7 @@ def test_a_row_is_its_reference(row: str):
     """The mean of each channel, of all of the picture and of the ball."""
     roughness, term, variant, chain, samples, spp, noise = ROWS[row]
     scene = attrs.evolve(room(roughness), photons=Photons(20_000, nearest=50))
-    subject = Subject(scene, {}, chain=chain)  # type: ignore[arg-type]
+    subject = Subject(scene, {}, chain=chain)
     limit = own_limit(Study(scenes=("room",), resolution=(8, 8), nearest_maps=1), subject, find(term, variant))
     assert (limit.kernel is not None) == (chain == "paper")
     with Engine(scene) as engine:
@@ -222,3 +227,11 @@ def test_a_row_is_its_reference(row: str):
         error = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 16)
         assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 4.5 * error).all()
         assert (error < noise * b.mean(axis=0)).all()
+
+
+def test_without_transparent_surfaces_the_term_is_black():
+    scene = small("two_cubes", 4)
+    black = reference.render(scene, "transmission", spp=1, replicates=2)
+    assert black.mean.shape == (4, 4, 3)
+    assert not black.mean.any()
+    assert not reference.has_second(scene, limits.named("transmission", scene))

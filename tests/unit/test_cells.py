@@ -13,7 +13,7 @@ from termwise.renderer import DEFAULTS, Engine, render
 from termwise.renderer.scratch import COUNTERS
 from termwise.renderer.terms import VARIANTS, Chain, estimator
 from termwise.reports.jobs import cells
-from termwise.scenes.model import Photons, PointLight, Scene
+from termwise.scenes.model import Photons, PointLight, Scene, largest
 from tests.scenes import small
 
 SAMPLES, REPLICATES = 4, 3
@@ -225,7 +225,7 @@ def _painted(scene: Scene, **changes: Any) -> Scene:
 
 
 def _dimmed(scene: Scene) -> Scene:
-    things = (attrs.evolve(thing, emission=tuple(x / 2 for x in thing.emission)) for thing in scene.objects)
+    things = (attrs.evolve(thing, emission=tuple(x / 2 for x in largest(thing.emission))) for thing in scene.objects)
     return attrs.evolve(scene, objects=tuple(things))
 
 

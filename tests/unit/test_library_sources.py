@@ -161,6 +161,7 @@ def test_the_stone_and_its_images_are_made_by_their_script(source):
     """Rounded to float32 and to whole numbers; no face of the stone lies across the seam of its image."""
     wild = source("wild")
     vertices, faces, uv = read_mapped(LIBRARY / "meshes" / "stone.ply")
+    assert uv is not None
     for kept, made in zip((vertices, faces, uv), wild.stone(), strict=True):
         np.testing.assert_allclose(kept, made, atol=1e-6)
     assert np.ptp(uv[..., 0], axis=1).max() < 0.5

@@ -505,8 +505,7 @@ def material_of(path: Path, *, approximate: bool = False, sampler: dict[str, int
     pbr = {"metallicFactor": 0.0, **said.pop("pbr", {})}
     material = {"name": "tiles", "doubleSided": True, "extensions": LAMBERT, "pbrMetallicRoughness": pbr, **said}
     texture = {"source": 0} | ({} if sampler is None else {"sampler": 0})
-    more = {"images": [{"uri": "a.png"}], "textures": [texture], "materials": [material]}
-    write_glb(path, **more, **({} if sampler is None else {"samplers": [sampler]}))
+    write_glb(path, images=[{"uri": "a.png"}], textures=[texture], materials=[material], samplers=[sampler or {}])
     return load(path, approximate=approximate).objects[0]
 
 
