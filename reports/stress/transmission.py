@@ -234,8 +234,8 @@ def reciprocity(count: int) -> Iterator[Row]:
     """f(i, o) / eta_o² = f(o, i) / eta_i², pairs on the two sides.
 
     Both orders find the facet from the same sum, of length |eta - 1| at least, in which it is rounded; D multiplies
-    that by twice its slope over alpha², and by the tangent's share. From the denser side 1 - F is of the root of what is
-    left of 1 up to total reflection, the square of the cosine on the rarer side over eta.
+    that by twice its slope over alpha², and by the tangent's share. From the denser side 1 - F is of the root of what
+    is left of 1 up to total reflection, the square of the cosine on the rarer side over eta.
     """
     for alpha, eta in itertools.product((0.05, 0.3, 1.5), (1.01, 1.5, 10.0)):
 
