@@ -944,11 +944,11 @@ PLANTS = (
         "column(scene.materials.emission.T, surface.object)",
     ),
     Plant(
-        "lamp's image: faces weighed by what they send twice",
-        SCREEN,
-        _FACE,
-        "area[some] * of_faces[some])",
-        "area[some] * of_faces[some])._replace(area=area[some] * of_faces[some] / radiance[some])",
+        "lamp's image: the chance of a face forgotten",
+        Test("tests/kernels/test_lamp_images.py::test_irradiance_is_that_of_quadrature"),
+        _LIGHTS,
+        "return last, its / total, min(rest / its, BELOW_ONE)",
+        "return last, 1.0 / count, min(rest / its, BELOW_ONE)",
     ),
     Plant(
         "lamp's image: photons of uniform power",
