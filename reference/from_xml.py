@@ -17,6 +17,7 @@ import numpy as np
 
 from termwise.reference import backend
 from termwise.scenes.exchange.imported import MIRROR, Import, Unsaid, coated, look
+from termwise.scenes.exchange.mitsuba import SMOOTH
 from termwise.scenes.model import (
     BLACK,
     BLACK_SURFACE,
@@ -370,7 +371,10 @@ def _glass(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: st
     if {"alpha_u", "alpha_v"} & set(node.properties):
         raise found.refuse(name, "alpha_u and alpha_v of roughdielectric")
     kind = node.properties.get("distribution", "beckmann") if rough else "smooth"
-    like = f"roughness {MIRROR:g}" if not rough else "Beckmann's of the same alpha, Smith's masking exact"
+    alpha = _color(parameters["alpha.value"])[0] if rough else SMOOTH
+    roughness = float(np.clip(alpha, SMOOTH, 1.5))
+    of_alpha = "of the same alpha" if roughness == alpha else f"of alpha {roughness:g}"
+    like = f"Beckmann's {of_alpha}, Smith's masking exact" if rough else f"roughness {SMOOTH:g}"
     found.instead(name, f"{node.plugin} ({kind})", like)
     colors = [
         np.array(_color(parameters[key])) if (key := f"{feature}.value") in parameters else np.ones(3)
@@ -379,18 +383,9 @@ def _glass(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: st
     gloss, transparency = (float(each.max()) for each in colors)
     if np.ptp(colors[0]) > 0.0:
         found.instead(name, "specular_reflectance of a colour", "its largest channel")
-    alpha = _color(parameters["alpha.value"])[0] if rough else MIRROR
     tint = _color(colors[1] / transparency) if transparency > 0.0 else (1.0, 1.0, 1.0)
     ior = _color(parameters["eta"])[0]
-    return Material(
-        BLACK,
-        gloss,
-        float(np.clip(alpha, MIRROR, 1.5)),
-        transparency=transparency,
-        ior=ior,
-        tint=tint,
-        fresnel="dielectric",
-    )
+    return Material(BLACK, gloss, roughness, transparency=transparency, ior=ior, tint=tint, fresnel="dielectric")
 
 
 def _leaf(mi: Any, node: _Node, made: Any, prefix: str) -> Material | None:

@@ -13,6 +13,7 @@ import attrs
 import numpy as np
 
 from termwise.scenes.exchange.imported import LONGEST, MIRROR, Import, Unsaid, coated, look
+from termwise.scenes.exchange.mitsuba import SMOOTH
 from termwise.scenes.meshes.glb import File, described
 from termwise.scenes.model import BLACK, Color, DirectionalLight, Material, PointLight, Scene, SpotLight, largest
 from termwise.scenes.textures import Encoding, Texture, Wrap, downwards, read_within
@@ -196,11 +197,13 @@ def _transparent(found: Import, used: Any, images: _Images, name: str, material:
     extensions = used.get("extensions", {})
     given = extensions.get("KHR_materials_transmission", {})
     volume = extensions.get("KHR_materials_volume", {})
-    share = given.get("transmissionFactor", 0.0)
-    if "transmissionTexture" in given:
-        found.instead(name, "transmissionTexture", "its factor alone")
+    surface = used.get("pbrMetallicRoughness", {})
+    # Metal lets nothing through.
+    share = given.get("transmissionFactor", 0.0) * (1.0 - surface.get("metallicFactor", 1.0))
     if share == 0.0:
         return material
+    if "transmissionTexture" in given:
+        found.instead(name, "transmissionTexture", "its factor alone")
     if share < 1.0:
         mostly = share >= _MOSTLY
         found.instead(name, f"transmissionFactor {share:g}", "glass without a diffuse part" if mostly else "no glass")
@@ -208,8 +211,7 @@ def _transparent(found: Import, used: Any, images: _Images, name: str, material:
             return material
     if "attenuationColor" in volume or "thicknessTexture" in volume:
         found.instead(name, "a volume that absorbs light", "a clear one")
-    surface = used.get("pbrMetallicRoughness", {})
-    roughness = float(np.clip(surface.get("roughnessFactor", 1.0) ** 2, MIRROR, 1.5))
+    roughness = float(np.clip(surface.get("roughnessFactor", 1.0) ** 2, SMOOTH, 1.5))
     ior = extensions.get("KHR_materials_ior", {}).get("ior", 1.5)
     if volume.get("thicknessFactor", 0.0) == 0.0:
         found.instead(name, "glass without a volume", "a face that light goes straight through, and reflects nothing")

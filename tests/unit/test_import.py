@@ -111,11 +111,17 @@ def test_glass_comes_back(tmp_path: Path):
     for old, new, other in (
         (b'"thicknessFactor":1.0', b'"thicknessFactor":0.0', attrs.evolve(glass, ior=1.0)),
         (b'"transmissionFactor":1.0', b'"transmissionFactor":0.7', attrs.evolve(glass, transparency=0.7)),
+        (b'"roughnessFactor":0.5', b'"roughnessFactor":0.0', attrs.evolve(glass, roughness=1e-4)),
     ):
         (tmp_path / "there.glb").write_bytes(data.replace(old, new))
         assert load(tmp_path / "there.glb", approximate=True).objects[0].material == other
-    (tmp_path / "there.glb").write_bytes(data.replace(b'"transmissionFactor":1.0', b'"transmissionFactor":0.2'))
-    assert load(tmp_path / "there.glb", approximate=True).objects[0].material.transparency == 0.0
+    for old, new in (
+        (b'"transmissionFactor":1.0', b'"transmissionFactor":0.2'),
+        (b'"metallicFactor":0.0', b'"metallicFactor":1.0'),  # a metal
+    ):
+        assert old in data
+        (tmp_path / "there.glb").write_bytes(data.replace(old, new))
+        assert load(tmp_path / "there.glb", approximate=True).objects[0].material.transparency == 0.0
 
 
 @pytest.mark.parametrize("name", LIBRARY)
