@@ -247,7 +247,7 @@ def _openness(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 def _diffuse(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     black = _black(scene, variant, chain)
-    return f"color (1 - gloss) = 0: {_names(black)}" if black else None
+    return f"color (1 - gloss) (1 - transparency) = 0: {_names(black)}" if black else None
 
 
 def _horizon(scene: Scene, variant: Variant, chain: Chain) -> str | None:

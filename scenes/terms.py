@@ -114,7 +114,7 @@ def _by_lights(scene: Scene) -> bool:
     return scene.shadows == "paper"
 
 
-_NO_DIFFUSE = "no surface has color (1 - gloss) > 0"
+_NO_DIFFUSE = "no surface has color (1 - gloss) (1 - transparency) > 0"
 _RULES = read("shadows", "ignore", "normals")
 _EMITTERS = read("objects.emission", of=lambda scene: tuple(thing.emits for thing in scene.objects))
 _DIFFUSE = read(

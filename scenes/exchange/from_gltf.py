@@ -198,8 +198,11 @@ def _transparent(found: Import, used: Any, images: _Images, name: str, material:
     given = extensions.get("KHR_materials_transmission", {})
     volume = extensions.get("KHR_materials_volume", {})
     surface = used.get("pbrMetallicRoughness", {})
+    if given.get("transmissionFactor", 0.0) == 0.0:
+        return material
     # Metal lets nothing through.
-    share = given.get("transmissionFactor", 0.0) * (1.0 - surface.get("metallicFactor", 1.0))
+    metallic = images.read("metallicRoughnessTexture", surface, encoded=False)[0][..., 2].mean()
+    share = float(given["transmissionFactor"] * (1.0 - surface.get("metallicFactor", 1.0) * metallic))
     if share == 0.0:
         return material
     if "transmissionTexture" in given:
@@ -216,13 +219,16 @@ def _transparent(found: Import, used: Any, images: _Images, name: str, material:
     if volume.get("thicknessFactor", 0.0) == 0.0:
         found.instead(name, "glass without a volume", "a face that light goes straight through, and reflects nothing")
         ior = 1.0
+    if not 0.1 <= ior <= 10.0:
+        raise found.refuse(name, f"glass of ior {ior:g}")
     if "metallicRoughnessTexture" in surface:
         found.instead(name, "metallicRoughnessTexture of glass", "its factor alone")
     if "baseColorTexture" in surface:
         found.instead(name, "baseColorTexture of glass", "its mean")
     color = images.read("baseColorTexture", surface, encoded=True)[0].reshape(-1, 3).mean(axis=0)
     tint = np.clip(color * surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3], 0.0, 1.0)
-    gloss = extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0)
+    specular = extensions.get("KHR_materials_specular", {})
+    gloss = specular.get("specularFactor", 1.0) * min(float(np.mean(specular.get("specularColorFactor", 1.0))), 1.0)
     return Material(BLACK, gloss, roughness, transparency=share, ior=ior, tint=tuple(tint.tolist()))
 
 

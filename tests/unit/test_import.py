@@ -268,6 +268,16 @@ UNSAID: dict[str, tuple[Callable[[dict[str, Any]], object], str, str, bool]] = {
         "glass without a volume",
         True,
     ),
+    "glass of no index": (  # glTF's way to say that all is reflected
+        lambda d: monkey(d)["extensions"].update(
+            KHR_materials_transmission={"transmissionFactor": 1.0},
+            KHR_materials_volume={"thicknessFactor": 1.0},
+            KHR_materials_ior={"ior": 0.0},
+        ),
+        "monkey",
+        "glass of ior 0",
+        False,
+    ),
     "a lamp of glass": (
         lambda d: monkey(d).update(
             emissiveFactor=[1, 0, 0],
@@ -337,6 +347,17 @@ def test_a_texture_is_its_mean_in_linear_light(tmp_path: Path):
         load(path)
     found = load(path, approximate=True)
     np.testing.assert_allclose(largest(found.objects[1].material.color), [0.8 * 0.5, 0.35 * 0.5029 / 2, 0.0], atol=1e-4)
+
+
+def test_a_coloured_reflection_of_glass_has_its_mean(tmp_path: Path):
+    def glassy(described: dict[str, Any]) -> None:
+        extensions = monkey(described)["extensions"]
+        extensions["KHR_materials_transmission"] = {"transmissionFactor": 1.0}
+        extensions["KHR_materials_specular"] = {"specularFactor": 0.5, "specularColorFactor": [1.0, 0.5, 0.0]}
+
+    found = load(changed(tmp_path, glassy), approximate=True)
+    assert "material 'monkey': specularColorFactor: taken is its mean" in found.substitutions
+    assert found.objects[1].material.gloss == 0.25
 
 
 def test_a_mirrored_node_keeps_its_outside(tmp_path: Path):

@@ -259,6 +259,15 @@ def test_the_papers_shadow_makes_lights_decide_on_ambient_light(scene: Scene):
         assert (store.key(scene, limit, spp=4, seed=1) == store.key(moved, limit, spp=4, seed=1)) == same
 
 
+def test_a_colour_of_what_lets_all_light_through_is_no_diffuse_part(scene: Scene):
+    """And the reason names the factor that is 0, for color (1 - gloss) is not."""
+    glass = Material((0.5, 0.5, 0.5), 0.5, transparency=1.0)
+    clear = attrs.evolve(
+        scene, objects=tuple(each if each.emits else attrs.evolve(each, material=glass) for each in scene.objects)
+    )
+    assert TABLE["direct"].absent(clear) == "no surface has color (1 - gloss) (1 - transparency) > 0"
+
+
 def test_an_unknown_term_has_no_rule(scene: Scene):
     with pytest.raises(KeyError):
         terms.content(scene, "glow")
