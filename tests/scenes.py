@@ -48,6 +48,13 @@ def small(name: str, width: int = 16, height: int | None = None, **changes: Any)
     return attrs.evolve(load(name), resolution=(width, height or width), **changes)
 
 
+def of_glass(scene: Scene) -> Scene:
+    """The scene with its bodies, all that is no plate, of glass so rough that any direction may be right."""
+    glass = Material((0.0, 0.0, 0.0), gloss=1.0, roughness=1.0, transparency=1.0)
+    things = (attrs.evolve(t, material=glass) if len(t.mesh.faces) > 2 else t for t in scene.objects)
+    return attrs.evolve(scene, objects=tuple(things))
+
+
 def of_every_kind(*lights: Light) -> tuple[Light, ...]:
     """The lights, and one of each other kind that sends nothing to the upper side of z = 0, nor hides anything there.
 

@@ -928,7 +928,6 @@ PLANTS = (
         'return downwards(self.accessor(primitive["attributes"][name]))',
         'return self.accessor(primitive["attributes"][name])',
     ),
-    Plant("lamp's image: upside down", SCREEN, _IMAGE, "_along(1.0 - v, ", "_along(v, "),
     Plant(
         "lamp's image: its brightest everywhere",
         SCREEN,

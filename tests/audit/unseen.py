@@ -32,8 +32,8 @@ UNSEEN = (
         "key: roughness left out of the specular term",
         Test(_CELLS + "test_equal_names_mean_equal_bytes[roughness]"),
         "scenes/terms.py",
-        'reads=(read(*_MATERIAL, "max_bounces"), _SKY)',
-        'reads=(read(*(each for each in _MATERIAL if "rough" not in each), "max_bounces"), _SKY)',
+        'reads=(read(*_MATERIAL, "max_bounces"), read(',
+        'reads=(read(*(each for each in _MATERIAL if "rough" not in each), "max_bounces"), read(',
     ),
     Plant(
         "key of a reference: the seed left out",

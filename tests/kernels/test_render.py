@@ -20,6 +20,7 @@ from termwise.scenes.limits import Kernel
 from termwise.scenes.load import library, load
 from termwise.scenes.model import Ambient, Camera, Photons, PointLight, Scene, Sky, Toggles, largest
 from termwise.scenes.terms import TERMS, Term
+from tests.scenes import of_glass
 
 
 def replicate_means(scene: Scene, term: str, count: int, **options) -> np.ndarray:
@@ -376,6 +377,8 @@ def test_threads_and_prefixes_change_no_bit(term, variant, busy, compiled):
     """1, 2 and 3 threads give equal bytes; the prefix N = 2 of a run of 4 is the run of 2; replicates differ."""
     if term == "background":
         busy = widened("two_cubes", compiled)  # the closed box shows none
+    if term == "transmission":
+        busy = of_glass(widened("two_cubes", compiled))
     found = renderer.find(term, variant)
     images: dict[int, list[bytes]] = {}
     for threads in (1, 2, 3):

@@ -46,6 +46,7 @@ photons = 200
 ambient = 2
 direct = 2
 specular = 2
+transmission = 2
 background = 2
 """
 
