@@ -107,4 +107,13 @@ class Worker:
         except OSError:
             raise
         except Exception as error:  # a scene's own fault, told with its name
+            if _interrupted(error):
+                raise KeyboardInterrupt from error
             return Outcome(job, error=error)
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind it: what is raised while Dr.Jit traces a loop it makes an error of its own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None

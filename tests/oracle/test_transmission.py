@@ -199,7 +199,7 @@ def test_light_that_never_gets_out_is_refused():
 # Roughness of the glass, term, variant, chain, our samples, Mitsuba's or its photon maps, and the noise that is left.
 ROWS: dict[str, tuple[float, Term, str, Chain, int, int, float]] = {
     "visible normals": (0.2, "transmission", "vndf", "path", 256, 128, 0.02),
-    "uniform directions": (0.8, "transmission", "uniform", "path", 4096, 128, 0.05),
+    "uniform directions": (1.5, "transmission", "uniform", "path", 32768, 128, 0.05),
     "reflected first": (0.2, "specular", "vndf", "path", 256, 128, 0.02),
     "photons at its vertices": (0.2, "transmission", "vndf", "paper", 8, 1, 0.05),
 }

@@ -118,18 +118,18 @@ print(*compiled_kernels(), sep=",")
 
 @pytest.mark.slow
 def test_digest_changes_with_what_a_module_reaches_and_nothing_else(copy):
-    """Editing `microfacet` changes its digest and those of terms that import it, not those of others."""
+    """Editing `terms.direct` changes its digest and those of terms that reach it, not those of others."""
     code = (
         "from termwise.renderer.jit import closure_digest as d; "
         "print(*(d(f'termwise.renderer.{m}') for m in {0!r}.split()))"
     )
-    modules = "vector camera microfacet terms.ambient terms.specular"
+    modules = "vector camera terms.direct terms.ambient terms.specular"
     before = run(copy, code.replace("{0!r}", repr(modules))).split()
-    with (copy / "termwise/renderer/microfacet.py").open("a") as file:
+    with (copy / "termwise/renderer/terms/direct.py").open("a") as file:
         file.write("# a comment\n")
     after = run(copy, code.replace("{0!r}", repr(modules))).split()
     changed = {name for name, a, b in zip(modules.split(), before, after, strict=True) if a != b}
-    assert changed == {"microfacet", "terms.specular"}
+    assert changed == {"terms.direct", "terms.specular"}
     # What runs kernels is nothing that they reach: an edit of it compiles none anew.
     for name in ("engine", "plan"):
         with (copy / f"termwise/renderer/{name}.py").open("a") as file:
