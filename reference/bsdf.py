@@ -29,7 +29,24 @@ def smith_g1(v: Any, alpha: Any) -> Any:
     return dr.select(a < 10.0, masked, 1.0)  # exp and 1/a leave float32 there, where 1 - G1 < 1e-44
 
 
-class CookTorrance(mi.BSDF):
+def beckmann(alpha: Any) -> Any:
+    """The distribution of facets, drawn by those that are seen."""
+    return mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, alpha, True)
+
+
+class Paired(mi.BSDF):
+    """A BSDF whose value and density are found together, by `eval_pdf`."""
+
+    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """`f |wo.n|`, mi.Color3f."""
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """Density of `sample`, per solid angle."""
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+
+class CookTorrance(Paired):
     """One lobe; sampled by visible normals (Heitz and d'Eon, EGSR 2014), which leaves the weight `k F G1(wo)`."""
 
     def __init__(self, props: Any) -> None:
@@ -42,17 +59,13 @@ class CookTorrance(mi.BSDF):
         self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
         self.m_flags = self.m_components[0]
 
-    @staticmethod
-    def _distribution(alpha: Any) -> Any:
-        return mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, alpha, True)
-
     def _fresnel(self, cosine: Any) -> Any:
         return self._f0 + (1.0 - self._f0) * dr.power(dr.maximum(1.0 - cosine, 0.0), 5)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         """Reflect about a visible normal; the weight is `f mu_o / pdf`."""
         alpha = self._alpha(si, active)
-        wh, _ = self._distribution(alpha).sample(si.wi, sample2)
+        wh, _ = beckmann(alpha).sample(si.wi, sample2)
         bs = mi.BSDFSample3f()
         bs.wo = mi.reflect(si.wi, wh)
         bs.eta = 1.0
@@ -63,21 +76,13 @@ class CookTorrance(mi.BSDF):
         weight = self._factor(si, active) * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(bs.wo, alpha)
         return bs, dr.select(active, weight, 0.0)
 
-    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """`f mu_o`, mi.Color3f."""
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """`D G1(wi) / (4 mu_i)`, per solid angle."""
-        return self.eval_pdf(ctx, si, wo, active)[1]
-
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """Value and density together: they differ by the weight of `sample`."""
         mu_i, mu_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
         active = active & (mu_i > 0.0) & (mu_o > 0.0)
         wh = dr.normalize(si.wi + wo)
         alpha = self._alpha(si, active)
-        pdf = self._distribution(alpha).eval(wh) * smith_g1(si.wi, alpha) / (4.0 * dr.maximum(mu_i, TINY))
+        pdf = beckmann(alpha).eval(wh) * smith_g1(si.wi, alpha) / (4.0 * dr.maximum(mu_i, TINY))
         value = self._factor(si, active) * self._fresnel(dr.dot(si.wi, wh)) * smith_g1(wo, alpha) * pdf
         return dr.select(active, value, 0.0), dr.select(active, pdf, 0.0)
 
@@ -90,7 +95,7 @@ class CookTorrance(mi.BSDF):
         return f"CookTorrance[f0={self._f0}]"
 
 
-class Translucent(mi.BSDF):
+class Translucent(Paired):
     """Diffuse light of which a share crosses the surface; the same from both sides."""
 
     def __init__(self, props: Any) -> None:
@@ -114,14 +119,6 @@ class Translucent(mi.BSDF):
         bs.sampled_component = dr.select(crosses, mi.UInt32(1), mi.UInt32(0))
         bs.pdf = self.pdf(ctx, si, bs.wo, active)
         return bs, dr.select(active & (bs.pdf > 0.0), self._reflectance.eval(si, active), 0.0)
-
-    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """`f |mu_o|`, mi.Color3f."""
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """`|mu_o| / pi` times the share of its side, per solid angle."""
-        return self.eval_pdf(ctx, si, wo, active)[1]
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """Value and density together: they differ by the weight of `sample`."""

@@ -19,7 +19,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .bsdf import TINY, smith_g1
+from .bsdf import TINY, Paired, beckmann, smith_g1
 from .share import number
 
 # What is let through is spread over an angle of about |eta - 1| alpha. Single precision has no density of what is
@@ -27,7 +27,7 @@ from .share import number
 NARROW = 2.0**-20
 
 
-class Dielectric(mi.BSDF):
+class Dielectric(Paired):
     """Both lobes, or one where a factor is 0; a facet is drawn by visible normals, and a lobe by its share of both."""
 
     def __init__(self, props: Any) -> None:
@@ -46,10 +46,6 @@ class Dielectric(mi.BSDF):
         self.m_components = [reflected, passing] if through else [reflected]
         self.m_flags = reflected | passing if through else reflected
 
-    @staticmethod
-    def _distribution(alpha: Any) -> Any:
-        return mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, alpha, True)
-
     def _spread(self, alpha: Any) -> Any:
         """Whether what is let through has more than one direction."""
         return dr.abs(self._eta - 1.0) * alpha >= NARROW
@@ -67,7 +63,7 @@ class Dielectric(mi.BSDF):
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         """Reflect or refract at a visible facet; the weight is `f |i·n| / pdf`."""
         alpha = self._alpha(si, active)
-        wh, _ = self._distribution(alpha).sample(dr.mulsign(si.wi, si.wi.z), sample2)
+        wh, _ = beckmann(alpha).sample(dr.mulsign(si.wi, si.wi.z), sample2)
         fresnel, cosine, eta_it, eta_ti = mi.fresnel(dr.dot(si.wi, wh), self._eta)
         chance, whole = self._shares(si, fresnel, active)
         reflects = sample1 < chance
@@ -86,14 +82,6 @@ class Dielectric(mi.BSDF):
         weight = dr.select(reflects, 1.0, self._passing(ctx, eta_ti)) * (whole * smith_g1(bs.wo, alpha))
         return bs, dr.select(active, weight, 0.0)
 
-    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """`f |i·n|`, mi.Color3f."""
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """Density of both lobes per solid angle, but for a single direction."""
-        return self.eval_pdf(ctx, si, wo, active)[1]
-
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """Value and density together: they differ by the weight of `sample`."""
         mu_i, mu_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
@@ -109,7 +97,7 @@ class Dielectric(mi.BSDF):
         # Density of the facets times the solid angle of facets to that of directions.
         jacobian = dr.square(beyond) * dr.abs(lit) / dr.maximum(dr.square(seen + beyond * lit), TINY)
         jacobian = dr.select(reflects, dr.rcp(4.0 * dr.maximum(dr.abs(lit), TINY)), jacobian)
-        facets = self._distribution(alpha).eval(wh) * smith_g1(si.wi, alpha)
+        facets = beckmann(alpha).eval(wh) * smith_g1(si.wi, alpha)
         facets *= dr.abs(seen) / dr.maximum(dr.abs(mu_i), TINY)
         pdf = facets * jacobian * dr.select(reflects, chance, 1.0 - chance)
         value = dr.select(reflects, 1.0, self._passing(ctx, eta_ti)) * (whole * smith_g1(wo, alpha) * pdf)
@@ -124,7 +112,7 @@ class Dielectric(mi.BSDF):
         return f"Dielectric[eta={self._eta}]"
 
 
-class Blend(mi.BSDF):
+class Blend(Paired):
     """What Mitsuba's `blendbsdf` is, which weighs a sample by values and densities, and has none of one direction."""
 
     def __init__(self, props: Any) -> None:
@@ -144,14 +132,6 @@ class Blend(mi.BSDF):
         bs, weight = (dr.select(later, b, a) for a, b in zip(one, other, strict=True))
         bs.pdf = self.pdf(ctx, si, bs.wo, active)
         return bs, weight
-
-    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """`f |i·n|`, mi.Color3f."""
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """Density of both, per solid angle."""
-        return self.eval_pdf(ctx, si, wo, active)[1]
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """Value and density together."""

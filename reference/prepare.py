@@ -58,6 +58,7 @@ class Loaded:
 
         `by_second`: by the second integrator of the limit, see `second`.
         """
+        # There is no scene of its role, see `translate.TRANSPARENT`.
         if limit["term"] == "transmission" and not self.description["transparent"]:
             width, height = self.description["camera"]["resolution"]
             return np.zeros((1, height, width, 3))

@@ -332,22 +332,31 @@ def _several(singles: list[Correction], halves: _Halves, stack: np.ndarray) -> I
     orders = [()] + [(each,) for each in singles if "order" in each.text]
     enough = _PROMISING * _seen(halves.thinned(_NONE), 0)
     best: dict[int, tuple[float, Correction]] = {}
-    for moved, order in itertools.product(lie, orders):
-        placed = halves.thinned(functools.reduce(Correction.then, (*moved, *order), _NONE))
-        for changes in _values(placed, stack):
-            parts = (*moved, *order, *changes)
-            left = placed.left(functools.reduce(Correction.then, changes, _NONE))
-            if len(parts) > 1 and left < best.get(len(parts), (enough,))[0]:
-                best[len(parts)] = left, functools.reduce(Correction.then, parts)
+    most = _upper_end(stack)
+    for moved in lie:
+        thin = halves.thinned(_all(moved))  # whose order of channels costs little
+        for order in orders:
+            placed = thin.thinned(_all(order))
+            for changes in _values(placed, most):
+                parts = (*moved, *order, *changes)
+                left = placed.left(_all(changes))
+                if len(parts) > 1 and left < best.get(len(parts), (enough,))[0]:
+                    best[len(parts)] = left, _all(parts)
     for count in sorted(best):
         yield best[count][1]
 
 
-def _values(halves: _Halves, stack: np.ndarray) -> Iterator[tuple[Correction, ...]]:
-    """Changes of values alone: none, a factor, a curve, and a factor or an upper end after the curve is undone."""
+def _all(parts: Iterable[Correction]) -> Correction:
+    return functools.reduce(Correction.then, parts, _NONE)
+
+
+def _values(halves: _Halves, most: float | None) -> Iterator[tuple[Correction, ...]]:
+    """Changes of values alone: none, a factor, a curve, and a factor or an upper end after the curve is undone.
+
+    `most` : where ours was clamped.
+    """
     yield ()
     yield from ((factor,) for factor in _factors(*halves.means, None))
-    most = _upper_end(stack)
     for curve in _curves():
         yield (curve,)
         yield from ((curve, factor) for factor in _factors(*halves.thinned(curve).means, None))

@@ -38,7 +38,7 @@ from termwise.scenes import limits
 from termwise.scenes.limits import Limit
 from termwise.scenes.terms import TABLE, TERMS, Term
 
-_RINGS = 32  # times the samples a pixel of other references, for none of `standard` to be UNDERPOWERED
+_RINGS = 32  # times the samples a pixel of other references; with 8 most of these rows of `standard` were UNDERPOWERED
 
 RowsOf = Callable[[Subject, list[Cell], References, Compare], list[Measurement]]
 

@@ -194,7 +194,9 @@ def test_an_opaque_scene_has_nothing_of_it():
     [
         (GLASS, "specular", "paper", "transparency = 1.0: allowed is 0 for specular paper"),
         (GLASS, "specular", "paper-code", "transparency = 1.0: allowed is 0 for specular paper-code"),
-        (attrs.evolve(GLASS, ior=1.0), "transmission", "uniform", "ior = 1.0: allowed is any other for transmission"),
+        (GLASS, "specular", "uniform", "ior = 1.5 with roughness = 0.0001: allowed is |ior - 1| roughness >= 0.03"),
+        (attrs.evolve(GLASS, ior=1.0), "transmission", "uniform", "ior = 1.0 with roughness = 0.0001: allowed is"),
+        (attrs.evolve(GLASS, ior=1.01, roughness=0.3), "transmission", "uniform", "ior = 1.01 with roughness = 0.3: "),
         (
             Material(gloss=1.0, fresnel="dielectric"),
             "specular",

@@ -21,7 +21,7 @@ import pytest
 from termwise.renderer.terms import find, register
 from termwise.reports.jobs import cells, cluster
 from termwise.reports.jobs.cluster import Cluster, ClusterError, Machine, connected
-from termwise.reports.jobs.executors import InThisProcess
+from termwise.reports.jobs.executors import InThisProcess, Worker
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
 from termwise.scenes.store import cache_folder, write_atomically
@@ -284,3 +284,23 @@ def test_without_workers_dask_is_not_loaded():
     code = "import sys, termwise.reports.run, termwise.reports.cli.runs; print('distributed' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_ctrl_c_within_a_loop_that_is_traced_is_no_fault_of_the_job(tmp_path: Path):
+    """Dr.Jit makes an error of its own of whatever is raised there."""
+
+    class Traced:
+        def take(self, seat: Any) -> Any:
+            try:
+                raise KeyboardInterrupt
+            except KeyboardInterrupt as error:
+                raise RuntimeError("while_loop(): encountered an exception") from error
+
+    class Broken:
+        def take(self, seat: Any) -> Any:
+            raise RuntimeError("a scene's own")
+
+    with Worker(tmp_path) as worker:
+        with pytest.raises(KeyboardInterrupt):
+            worker.take(cast(Any, Traced()))
+        assert str(worker.take(cast(Any, Broken())).error) == "a scene's own"
