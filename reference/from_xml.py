@@ -518,7 +518,9 @@ def _area(mi: Any, found: Import, node: _Node, emitter: _Node, shape: Any) -> Co
 
 def _color(value: Any) -> Color:
     """Three numbers, or one for all, of Mitsuba's float32: 0.35 as it stood in the file, not 0.3499999940."""
-    red, green, blue = (float(str(each)) for each in np.resize(np.array(value, np.float32).ravel(), 3))
+    given = np.resize(np.array(value, np.float32).ravel(), 3)
+    # Not by `str`, which gives six digits after np.set_printoptions(legacy="1.13"): importing colour-science does that.
+    red, green, blue = (float(np.format_float_scientific(each)) for each in given)
     return red, green, blue
 
 

@@ -159,6 +159,17 @@ def test_glass_comes_back(tmp_path: Path):
         assert found.dielectric
 
 
+def test_how_numpy_prints_changes_nothing(tmp_path: Path):
+    """NumPy's old way of printing, which importing colour-science chooses, has six digits of a float32."""
+    given = small("monkey")
+    color = (1.0 / 3.0, 4.0 / 7.0, 1e-3 / 7.0)
+    scene = attrs.evolve(given, objects=(attrs.evolve(given.objects[0], material=Material(color, 0.0)),))
+    mitsuba.write(scene, tmp_path / "there.xml")
+    with np.printoptions(legacy="1.13"):
+        found = load(tmp_path / "there.xml").objects[0].material
+    np.testing.assert_allclose(found.color, color, rtol=1e-7)
+
+
 def test_gloss_comes_back_listed(tmp_path: Path):
     given = small("cornell_box")
     mitsuba.write(given, tmp_path / "there.xml")
