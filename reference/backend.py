@@ -10,7 +10,6 @@ native libraries that are missing and says what will render.
 import contextlib
 import hashlib
 import importlib
-import importlib.metadata
 import os
 import platform
 import signal
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from termwise.reference import native
-from termwise.scenes.store import ROOT, cache_folder, write_atomically
+from termwise.scenes.store import ROOT, cache_folder, versions_of, write_atomically
 
 VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
 PASSED = "passed"
@@ -91,9 +90,8 @@ def probe(variant: str, llvm_path: Path | None = None) -> str:
     refusal by LLVM itself. Another failure may be mended by an installation, and costs less than a second.
     """
     stamp = llvm_path.stat().st_mtime_ns if llvm_path and llvm_path.exists() else 0
-    versions = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
     # The instructions that LLVM must select depend on the processor.
-    key = repr((variant, str(llvm_path), stamp, versions, platform.node(), platform.machine()))
+    key = repr((variant, str(llvm_path), stamp, versions_of("mitsuba", "drjit"), platform.node(), platform.machine()))
     outcome_file = cache_folder() / "probes" / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.txt"
     if outcome_file.exists():
         return outcome_file.read_text()

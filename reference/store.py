@@ -6,7 +6,6 @@ whole or not at all; a file that is missing, cut short or altered is rendered ag
 
 import functools
 import hashlib
-import importlib.metadata
 import io
 import json
 import math
@@ -25,7 +24,7 @@ from termwise.reference import backend
 from termwise.scenes import reads, terms
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
-from termwise.scenes.store import ROOT, sources_digest, write_atomically
+from termwise.scenes.store import ROOT, sources_digest, versions_of, write_atomically
 from termwise.scenes.terms import Term
 
 # What full light transport leaves out of a scene.
@@ -197,15 +196,19 @@ def kept(
 
 def key(scene: Scene, limit: Limit, *, spp: int, seed: int, by_second: bool = False) -> str:
     """sha256 of all that decides a replicate's bits but its number."""
-    if limit.transport == "physical":
-        content = reads.digest(scene, without=(*reads.UNREAD, *reference.UNLOADED, *_NOT_PHYSICAL))
-    else:
-        ruled = attrs.evolve(scene, shadows=limit.shadows)
-        content = terms.content(ruled, limit.term, without=reference.UNLOADED)
-    versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit")]
     sources = sources_digest(ROOT / "reference", ROOT / "scenes")
-    settings = repr((content, attrs.astuple(limit), spp, seed, by_second, _variant(), versions, sources))
+    made_by = _variant(), versions_of("mitsuba", "drjit"), sources
+    settings = repr((_content(scene, limit), attrs.astuple(limit), spp, seed, by_second, *made_by))
     return hashlib.sha256(settings.encode()).hexdigest()
+
+
+@functools.lru_cache(maxsize=64)
+def _content(scene: Scene, limit: Limit) -> str:
+    """sha256 of what a limit's image depends on in a scene: the same for all replicates."""
+    if limit.transport == "physical":
+        return reads.digest(scene, without=(*reads.UNREAD, *reference.UNLOADED, *_NOT_PHYSICAL))
+    ruled = attrs.evolve(scene, shadows=limit.shadows)
+    return terms.content(ruled, limit.term, without=reference.UNLOADED)
 
 
 def _variant() -> str:

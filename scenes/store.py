@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import importlib.metadata
 import os
 import uuid
 from collections.abc import Callable
@@ -32,6 +33,12 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@functools.cache
+def versions_of(*packages: str) -> list[str]:
+    """Versions of installed packages, as they were when first asked: finding them reads files."""
+    return [importlib.metadata.version(package) for package in packages]
 
 
 @functools.cache

@@ -6,7 +6,6 @@ was interrupted, or one with nothing changed, finds it again.
 """
 
 import hashlib
-import importlib.metadata
 import zipfile
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -22,7 +21,7 @@ from termwise.renderer.terms import VARIANTS, Chain, Variant, find
 from termwise.scenes import terms
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
-from termwise.scenes.store import write_atomically
+from termwise.scenes.store import versions_of, write_atomically
 from termwise.scenes.terms import Term
 
 
@@ -187,7 +186,6 @@ def key(
 
     `fingerprint` : of the variant's estimator; it is asked for its own without one.
     """
-    versions = [importlib.metadata.version(package) for package in ("numba", "numpy")]
     estimator = variant.estimator
     settings = (
         scene.digest(without=()) if estimator.sees_all else content(scene, variant, chain=chain),
@@ -196,7 +194,7 @@ def key(
         samples,
         seed,
         chain if terms.TABLE[variant.term].meets else "",
-        versions,
+        versions_of("numba", "numpy"),
         estimator.fingerprint() if fingerprint is None else fingerprint,
     )
     return hashlib.sha256(repr(settings).encode()).hexdigest()

@@ -62,6 +62,8 @@ _SETTINGS = {
     "distributed.scheduler.worker-ttl": "60 s",
     # dask's own makes glibc give every image back to the system: a seventh of a worker's time went into fetching pages.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    # A profiler that holds frames frees Dr.Jit's arrays in its own thread: that spins while another compiles a kernel.
+    "distributed.worker.profile.enabled": False,
 }
 
 

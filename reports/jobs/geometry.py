@@ -1,7 +1,6 @@
 """The geometry audit of a scene as a job: what it found is one small file, named by all that decides it."""
 
 import hashlib
-import importlib.metadata
 import json
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from termwise.reports.study import geometry_audit
 from termwise.reports.study.geometry_audit import Finding
 from termwise.scenes import reads
 from termwise.scenes.model import Scene, absorb
-from termwise.scenes.store import ROOT, sources_digest, write_atomically
+from termwise.scenes.store import ROOT, sources_digest, versions_of, write_atomically
 
 # Fields of a scene that an audit depends on: what a setting changes beside them needs no audit of its own.
 _READ = "camera", "objects.name", "objects.mesh", "objects.emission", "lights", "resolution", "ignore"
@@ -57,13 +56,14 @@ class GeometryAudit:
 
     def path(self, folder: Path) -> Path:
         """Its file in the folder of the cache."""
-        versions = [importlib.metadata.version(package) for package in ("mitsuba", "drjit", "numpy")]
         sources = sources_digest(*(ROOT / name for name in ("reference", "scenes", "reports/study")))
         state = hashlib.sha256()
         for field, kind, value in reads.fields_of(self.scene):
             if field.startswith(_READ):
                 absorb(state, (field, kind, value))
-        settings = repr((state.hexdigest(), self.seed, backend.choose().variant, versions, sources))
+        settings = repr(
+            (state.hexdigest(), self.seed, backend.choose().variant, versions_of("mitsuba", "drjit", "numpy"), sources)
+        )
         name = hashlib.sha256(settings.encode()).hexdigest()
         return folder / name[:2] / f"{name}.json"
 
