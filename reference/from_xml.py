@@ -1,14 +1,15 @@
 """A scene from Mitsuba's XML: meshes as Mitsuba loads them, diffuse surfaces, area and point lights, skies, a camera.
 
-Mitsuba parses the file and makes its objects, so that includes, parameters, transforms, spectra and normals mean what
-they mean there; nothing is rendered. Integrator and sampler are settings of a renderer and are not read.
+Mitsuba parses the file and makes its objects, so that includes, parameters, transforms, spectra, normals and the texels
+of images mean what they mean there; nothing is rendered. Integrator and sampler are settings of a renderer and are not
+read.
 A lamp shines on the side of its shading normals, which mirroring turns with it.
 """
 
 import contextlib
 import gc
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,10 @@ from termwise.scenes.model import (
     SphereLight,
     SpotLight,
     largest,
+    least,
 )
 from termwise.scenes.strict import FileError
+from termwise.scenes.textures import Texture, Wrap, downwards, in_color
 
 _SPHERE, _DISK = 4, 128
 """Subdivisions of an icosphere, and corners of a polygon, that stand for round shapes."""
@@ -47,6 +50,13 @@ _MESHES = ("obj", "ply", "serialized", "cube")
 _COATED = ("plastic", "roughplastic", "pplastic")
 _GLASS = ("dielectric", "roughdielectric")
 _CONDUCTORS = ("conductor", "roughconductor")
+_OF_ONE_COLOR = ("d65", "srgb", "uniform", "regular", "irregular")
+"""Plugins of spectra, which are textures to Mitsuba."""
+_WRAPS: dict[str, Wrap] = {"repeat": "repeat", "clamp": "clamp"}
+_LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
+"""Of red, green and blue, where Mitsuba takes a number of an image of colours."""
+_ON_RECTANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+"""Where in an image the corners of a rectangle lie, as Mitsuba has it: v goes down."""
 
 
 @attrs.frozen
@@ -63,11 +73,99 @@ class _Node:
         """Children of a kind, by Mitsuba's name of it."""
         return (child for _, child in self.children if child.kind == kind)
 
+    def texture(self, feature: str) -> "_Node | None":
+        """The texture that a feature has, unless it is of one colour."""
+        textures = (child for name, child in self.children if name == feature and child.kind == "Texture")
+        return next((child for child in textures if child.plugin not in _OF_ONE_COLOR), None)
+
     def textured(self, feature: str) -> str | None:
-        """Plugin of the texture that a feature has, unless it is of one colour."""
-        return next(
-            (child.plugin for name, child in self.children if name == feature and child.kind == "Texture"), None
-        )
+        """The plugin of that texture."""
+        texture = self.texture(feature)
+        return None if texture is None else texture.plugin
+
+
+@attrs.define
+class _Images:
+    """The bitmaps of a shape, all of which lie on it in one way.
+
+    Attributes
+    ----------
+    found : where it is noted what stands for those that do not.
+    own : (V, 2) where in an image Mitsuba has the vertices, v downwards; None where it has no such places.
+    places : (V, 2) of the vertices, v upwards; None until an image lies there.
+    """
+
+    found: Import
+    own: np.ndarray | None
+    places: np.ndarray | None = None
+
+    def number(self, name: str, node: _Node, feature: str, parameters: Any, prefix: str) -> float | Texture:
+        """As `color`, of one number: of colours Mitsuba takes the luminance."""
+        read = self._read(name, node, feature, parameters, prefix)
+        if read is None:
+            return _color(parameters[f"{prefix}{feature}.value"])[0]
+        values, wrap = read
+        values = values[..., 0] if np.ptp(values, axis=-1).max() == 0.0 else values @ _LUMINANCE
+        return Texture(values, wrap) if values.ndim else float(values)
+
+    def color(self, name: str, node: _Node, feature: str, parameters: Any, prefix: str) -> Color | Texture:
+        """Colour or image that a feature of a node has; the mean of an image that the model cannot say how it lies.
+
+        Parameters
+        ----------
+        name : of what has it, in messages.
+        node : whose feature it is, of one colour or a bitmap.
+        parameters : as Mitsuba traverses what it made, where `prefix` leads to those of the node.
+        """
+        read = self._read(name, node, feature, parameters, prefix)
+        if read is None:
+            return _color(parameters[f"{prefix}{feature}.value"])
+        values, wrap = read
+        return Texture(in_color(values), wrap) if values.ndim == 3 else _color(values)
+
+    def plain(self, name: str, node: _Node, feature: str, parameters: Any, prefix: str) -> Color:
+        """As `color`, where the model has no image: the mean of one."""
+        if (texture := node.texture(feature)) is None:
+            return _color(parameters[f"{prefix}{feature}.value"])
+        texels = self._texels(name, node, texture, feature, parameters, prefix)
+        self.found.instead(name, f"bitmap, a texture of {feature}", "its mean")
+        return _color(texels.mean(axis=(0, 1)))
+
+    def _read(
+        self, name: str, node: _Node, feature: str, parameters: Any, prefix: str
+    ) -> tuple[np.ndarray, Wrap] | None:
+        """Texels (H, W, C) and how they go on, or their mean (C,); None of what has one colour."""
+        texture = node.texture(feature)
+        if texture is None:
+            return None
+        texels = self._texels(name, node, texture, feature, parameters, prefix)
+        wrap = texture.properties.get("wrap_mode", "repeat")
+        places = None
+        if self.own is not None:
+            to_uv = np.array(parameters[f"{prefix}{feature}.to_uv"].matrix, np.float64).reshape(3, 3)
+            places = downwards(self.own @ to_uv[:2, :2].T + to_uv[:2, 2])
+            if wrap == "mirror" and ((places >= 0.0) & (places <= 1.0)).all():
+                wrap = "clamp"  # it goes on with the border's own texels
+        if places is None:
+            unsaid = "on a shape without places in it"
+        elif self.places is not None and not np.array_equal(places, self.places):
+            unsaid = "that lies otherwise than another of the shape"
+        elif wrap not in _WRAPS:
+            unsaid = "that is mirrored"
+        elif texture.properties.get("filter_type", "bilinear") != "bilinear":
+            unsaid = "that is not interpolated"
+        else:
+            self.places = places
+            return texels, _WRAPS[wrap]
+        self.found.instead(name, f"bitmap, a texture of {feature}, {unsaid}", "its mean")
+        return texels.mean(axis=(0, 1)), "repeat"
+
+    def _texels(self, name: str, node: _Node, texture: _Node, feature: str, parameters: Any, prefix: str) -> np.ndarray:
+        """Of a bitmap, (H, W, C) float64: what Mitsuba interpolates, linear."""
+        data = f"{prefix}{feature}.data"
+        if data not in parameters:  # of no bitmap, or of one that is another feature's too
+            raise self.found.refuse(name, f"{texture.plugin} for {feature} of {node.plugin}")
+        return np.array(parameters[data], np.float64)
 
 
 def read(path: Path, *, approximate: bool) -> Scene:
@@ -124,6 +222,9 @@ def _parsed(mi: Any, path: Path) -> tuple[_Node, Any]:
     try:
         state = mi.parser.parse_file(config, str(path))
         mi.parser.transform_all(config, state)
+        for node in state.nodes:
+            if node.props.plugin_name() == "bitmap" and node.props.get("format", "auto") == "auto":
+                node.props["format"] = "variant"  # else whole numbers stay so, to be decoded late
         tree = _node(mi, state, 0)
         _refuse_groups(path, tree)
         made = mi.parser.instantiate(config, state)
@@ -193,17 +294,24 @@ def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
     """Add a shape with its surface and radiance; a sphere that shines is a light."""
     normals = None
     matrix = _matrix(node)
-    emission = BLACK
-    for emitter in node.of("Emitter"):
-        emission = _area(mi, found, node, emitter, shape)
-    material = _material(mi, found, node, shape)
+    images = _Images(found, _own_places(node, shape))
+    emission: Color | Texture = BLACK
+    try:
+        for emitter in node.of("Emitter"):
+            emission = _area(mi, images, node, emitter, shape)
+        material = _material(mi, images, node, shape)
+    except FileError:
+        raise
+    except ValueError as error:  # of a texel that the model refuses
+        raise FileError(f"{found.path}: {node.name}: {error}") from None
     flipped = node.properties.get("flip_normals", False)
     if node.plugin == "sphere":
         center, radius = _ball(found, node, matrix)
         flipped ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)  # a mirrored sphere looks inwards
-        if any(emission) and not flipped:
+        if any(largest(emission)) and not flipped:
             if any(largest(material.color)) or largest(material.gloss) > 0.0 or material.transparency > 0.0:
                 found.instead(node.name, "a lamp that reflects", "a black one")
+            assert not isinstance(emission, Texture)  # on a sphere no image lies
             found.lights.append(SphereLight(tuple(center.tolist()), radius, emission))
             return
         points, faces, normals = _icosphere(found, node, center, radius)
@@ -218,19 +326,31 @@ def _shape(mi: Any, found: Import, node: _Node, shape: Any) -> None:
         points = _placed(matrix, points)
     else:
         raise found.refuse(node.name, f"{node.plugin}, a shape")
-    if any(emission) and normals is not None:
+    if any(largest(emission)) and normals is not None:
         if node.plugin != "sphere":
             faces = found.outwards(node.name, points, faces, normals)
         normals = None
     if flipped:
         faces, normals = faces[:, ::-1], None if normals is None else -normals
-    found.add(node.name, points, faces, material, normals=normals, emission=emission)
+    uv = None if images.places is None else images.places[faces]
+    found.add(node.name, points, faces, material, normals=normals, emission=emission, uv=uv)
 
 
-def _material(mi: Any, found: Import, node: _Node, shape: Any) -> Material:
+def _own_places(node: _Node, shape: Any) -> np.ndarray | None:
+    """Where in an image Mitsuba has the points of a shape, (V, 2), v downwards; None where the model has none of it."""
+    if node.plugin == "rectangle":
+        return _ON_RECTANGLE
+    if node.plugin in _MESHES and shape.has_vertex_texcoords():
+        return np.array(shape.vertex_texcoords_buffer(), np.float64).reshape(-1, 2)
+    return None
+
+
+def _material(mi: Any, images: _Images, node: _Node, shape: Any) -> Material:
     """Surface of a shape; without one Mitsuba takes a grey, which for a lamp is black."""
     surfaces = [*node.of("BSDF")]
-    return _surface(mi, found, node.name, surfaces[0], shape.bsdf()) if surfaces else _default(mi, found, node, shape)
+    if not surfaces:
+        return _default(mi, images.found, node, shape)
+    return _surface(mi, images, node.name, surfaces[0], shape.bsdf())
 
 
 def _scale(matrix: np.ndarray) -> float | None:
@@ -296,22 +416,23 @@ def _default(mi: Any, found: Import, node: _Node, shape: Any) -> Material:
     return Material(_reflectance(mi, shape.bsdf()), 0.0)
 
 
-def _surface(mi: Any, found: Import, name: str, node: _Node, made: Any) -> Material:
+def _surface(mi: Any, images: _Images, name: str, node: _Node, made: Any) -> Material:
     """The material of a BSDF; what is not diffuse and two-sided has a stand-in, or is refused."""
+    found = images.found
     name = f"{name}: bsdf {node.name}" if node.name != node.plugin else name
-    if (leaf := _leaf(mi, node, made, "")) is not None:
+    if (leaf := _leaf(mi, images, name, node, made, "")) is not None:
         return leaf
     if node.plugin in _GLASS:
         return _glass(mi, found, name, node, made, "")
     kinds = [child.plugin for child in node.of("BSDF")]
     if node.plugin == "blendbsdf" and kinds[1] in _GLASS:
         first, second = node.of("BSDF")
-        return _over_diffuse(mi, found, name, first, _glass(mi, found, name, second, made, "bsdf_1."), made)
+        return _over_diffuse(mi, images, name, first, _glass(mi, found, name, second, made, "bsdf_1."), made)
     if node.plugin == "blendbsdf" and kinds == ["blendbsdf", "twosided"]:
         first, second = node.of("BSDF")
-        if (leaf := _leaf(mi, first, made, "bsdf_0.")) is not None:
-            lobe = _glossy(mi, found, name, next(second.of("BSDF")), made, "bsdf_1.brdf_0.")
-            gloss = float(np.array(mi.traverse(made)["weight.value"]).ravel()[0])
+        if (leaf := _leaf(mi, images, name, first, made, "bsdf_0.")) is not None:
+            lobe = _glossy(mi, images, name, next(second.of("BSDF")), made, "bsdf_1.brdf_0.")
+            gloss = _within(images.number(name, node, "weight", mi.traverse(made), ""), 0.0, 1.0)
             return attrs.evolve(lobe, color=leaf.color, translucency=leaf.translucency, gloss=gloss)
     inner, sides = node, 1
     if node.plugin == "twosided":
@@ -321,31 +442,32 @@ def _surface(mi: Any, found: Import, name: str, node: _Node, made: Any) -> Mater
             found.instead(name, "twosided with two surfaces", "the first on both sides")
     prefix = "brdf_0." if node.plugin == "twosided" else ""
     if inner.plugin == "diffuse":
-        color = _mean(mi, found, name, inner, "reflectance", made)
-        if sides == 1 and any(color):
+        color = _reflects(mi, images, name, inner, "reflectance", made, prefix)
+        if sides == 1 and any(largest(color)):
             found.instead(name, "diffuse on one side", "the same on both sides")
         return Material(color, 0.0)
-    material = _glossy(mi, found, name, inner, made, prefix)
+    material = _glossy(mi, images, name, inner, made, prefix)
     if sides == 1:
         found.instead(name, f"{inner.plugin} on one side", "the same on both sides")
     return material
 
 
-def _over_diffuse(mi: Any, found: Import, name: str, node: _Node, glass: Material, made: Any) -> Material:
+def _over_diffuse(mi: Any, images: _Images, name: str, node: _Node, glass: Material, made: Any) -> Material:
     """The material of the blend `made` of a diffuse surface of two sides, `node`, and glass.
 
-    Those of ours are g, t and (1 - g) (1 - t), of the diffuse part by its colour.
+    Those of ours are g, t and (1 - g) (1 - t), of the diffuse part by its colour. None of them is an image.
     """
-    parameters = mi.traverse(made)
-    leaf = _leaf(mi, node, made, "bsdf_0.")
-    color = parameters.get("bsdf_0.brdf_0.reflectance.value") if node.plugin == "twosided" else None
-    share = parameters.get("weight.value")
-    if (color is None and leaf is None) or share is None:
+    parameters, found = mi.traverse(made), images.found
+    leaf = _leaf(mi, images, name, node, made, "bsdf_0.", plain=True)
+    diffuse = node.plugin == "twosided" and [child.plugin for child in node.of("BSDF")] == ["diffuse"]
+    if (leaf is None and not diffuse) or "weight.value" not in parameters:
         raise found.refuse(name, f"a blend of {node.plugin} and glass")
-    share = _color(share)[0]
+    share = _color(parameters["weight.value"])[0]
     gloss, transparency = share * largest(glass.gloss), share * glass.transparency
     left = (1.0 - gloss) * (1.0 - transparency)
-    shown = np.array(leaf.color if leaf is not None else _color(color)) * ((1.0 - share) / left if left else 0.0)
+    inner = next(node.of("BSDF"))
+    color = leaf.color if leaf is not None else images.plain(name, inner, "reflectance", parameters, "bsdf_0.brdf_0.")
+    shown = np.array(color) * ((1.0 - share) / left if left else 0.0)
     if (shown > 1.0 + _TINY).any():
         raise found.refuse(name, "a blend with glass in which the diffuse part is brighter than white")
     return attrs.evolve(
@@ -388,60 +510,86 @@ def _glass(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: st
     return Material(BLACK, gloss, roughness, transparency=transparency, ior=ior, tint=tint, fresnel="dielectric")
 
 
-def _leaf(mi: Any, node: _Node, made: Any, prefix: str) -> Material | None:
+def _leaf(
+    mi: Any, images: _Images, name: str, node: _Node, made: Any, prefix: str, *, plain: bool = False
+) -> Material | None:
     """The material of a blend of `diffuse`, two-sided, and the transmitted part of `principledthin`, of one colour.
 
-    None of any other. `prefix` leads to the parameters of the node from those of the BSDF `made`.
+    None of any other. `prefix` leads to the parameters of the node from those of the BSDF `made`; `plain`: an image is
+    its mean.
     """
     if node.plugin != "blendbsdf" or [child.plugin for child in node.of("BSDF")] != ["twosided", "principledthin"]:
         return None
-    thin = [*node.of("BSDF")][1]
-    values = {name: np.array(value).ravel() for name, value in mi.traverse(made).items() if name.startswith(prefix)}
-    color = values.get(f"{prefix}bsdf_0.brdf_0.reflectance.value")
-    crossing, all_of_it = (values.get(f"{prefix}bsdf_1.{key}.value") for key in ("base_color", "diff_trans"))
-    share = values.get(f"{prefix}weight.value")
-    if set(thin.properties) - {"base_color", "diff_trans"} or color is None or crossing is None or share is None:
+    sides, thin = node.of("BSDF")
+    inner = [*sides.of("BSDF")]
+    values = mi.traverse(made)
+    share, all_of_it = (values.get(f"{prefix}{key}.value") for key in ("weight", "bsdf_1.diff_trans"))
+    if [child.plugin for child in inner] != ["diffuse"] or share is None or all_of_it is None:
         return None
-    if not np.array_equal(color, crossing) or all_of_it is None or (all_of_it != 2.0).any():
+    said = {*thin.properties, *(feature for feature, _ in thin.children)}
+    if said - {"base_color", "diff_trans"} or (np.array(all_of_it) != 2.0).any():
         return None
-    return Material(_color(color), 0.0, translucency=_color(share)[0])
+    stays, crosses = f"{prefix}bsdf_0.brdf_0.", f"{prefix}bsdf_1."
+    for key in ("value", "data", "to_uv"):
+        first, second = values.get(f"{stays}reflectance.{key}"), values.get(f"{crosses}base_color.{key}")
+        if key == "to_uv" and first is not None and second is not None:
+            first, second = first.matrix, second.matrix
+        if (first is None) != (second is None) or not np.array_equal(np.array(first), np.array(second)):
+            return None
+    textures = inner[0].texture("reflectance"), thin.texture("base_color")
+    for key in ("wrap_mode", "filter_type"):
+        if len({each.properties.get(key) for each in textures if each is not None}) > 1:
+            return None
+    read = images.plain if plain else images.color
+    return Material(read(name, inner[0], "reflectance", values, stays), 0.0, translucency=_color(share)[0])
 
 
-def _glossy(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: str) -> Material:
+def _glossy(mi: Any, images: _Images, name: str, node: _Node, made: Any, prefix: str) -> Material:
     """Beckmann's lobe with Schlick's reflectance, equal at normal incidence, for lobes that are not exactly that.
 
     `prefix` leads to the parameters of the node from those of the BSDF `made`.
     """
-    parameters = mi.traverse(made)
+    parameters, found = mi.traverse(made), images.found
 
     def value(key: str, *, width: int = 3) -> Any:
+        if node.texture(key) is not None:
+            mean = np.array(images.plain(name, node, key, parameters, prefix))
+            return mean if width == 3 else float(mean @ _LUMINANCE)
         for end in (f"{key}.value", key):
             if prefix + end in parameters:
                 given = np.array(_color(parameters[prefix + end]))
                 return given if width == 3 else float(given[0])
-        kind = node.textured(key) or "nothing"
-        raise found.refuse(name, f"{kind} for {key} of {node.plugin}")
+        raise found.refuse(name, f"nothing for {key} of {node.plugin}")
+
+    def coat(feature: str, metallic: float, f0: float, alpha: float) -> Material:
+        """Over the reflectance of a feature; a lobe is of one colour."""
+        color = _reflects(mi, images, name, node, feature, made, prefix)
+        if metallic > 0.0 and isinstance(color, Texture):
+            found.instead(name, f"{feature} of a metal, whose reflectance is an image", "its mean")
+        mean = _color(color.texels.mean(axis=(0, 1))) if isinstance(color, Texture) else color
+        return attrs.evolve(coated(mean, metallic=metallic, f0=f0, roughness=alpha), color=color)
 
     if node.plugin in _CONDUCTORS:
         rough = node.plugin == "roughconductor"
+        alpha: float | Texture = MIRROR
         if {"alpha_u", "alpha_v"} & set(node.properties):
             found.instead(name, "alpha_u and alpha_v", "their mean")
             alpha = (value("alpha_u", width=1) + value("alpha_v", width=1)) / 2.0
-        else:
-            alpha = value("alpha", width=1) if rough else MIRROR
+        elif rough:
+            alpha = images.number(name, node, "alpha", parameters, prefix)
         f0 = _conductor(value("eta"), value("k"))
-        if f"{prefix}specular_reflectance.value" in parameters:
+        if f"{prefix}specular_reflectance.value" in parameters or node.texture("specular_reflectance") is not None:
             f0 = f0 * value("specular_reflectance")
         kind = node.properties.get("distribution", "beckmann") if rough else "a mirror"
-        found.instead(name, f"{node.plugin} ({kind})", "Beckmann's lobe with Schlick's reflectance of the same f0")
-        return Material(BLACK, 1.0, float(np.clip(alpha, MIRROR, 1.5)), _color(np.clip(f0, 0.0, 1.0)))
+        widened = "" if least(alpha) >= MIRROR and rough else f", of alpha {MIRROR:g} at least"
+        lobe = f"Beckmann's lobe with Schlick's reflectance of the same f0{widened}"
+        found.instead(name, f"{node.plugin} ({kind})", lobe)
+        return Material(BLACK, 1.0, _within(alpha, MIRROR, 1.5), _color(np.clip(f0, 0.0, 1.0)))
     if node.plugin in _COATED:
         index = value("eta", width=1)
         alpha = MIRROR if node.plugin == "plastic" else value("alpha", width=1)
         found.instead(name, node.plugin, "a lobe over a diffuse base, equal at normal incidence")
-        f0 = _of_index(index)
-        color = _mean(mi, found, name, node, "diffuse_reflectance", made)
-        return coated(color, metallic=0.0, f0=f0, roughness=alpha)
+        return coat("diffuse_reflectance", 0.0, _of_index(index), alpha)
     if node.plugin == "principled":
         if value("spec_trans", width=1) > 0.0:
             raise found.refuse(name, "principled with spec_trans, which transmits light")
@@ -450,16 +598,21 @@ def _glossy(mi: Any, found: Import, name: str, node: _Node, made: Any, prefix: s
         f0 = (
             0.08 * value("specular", width=1) if f"{prefix}specular" in parameters else _of_index(value("eta", width=1))
         )
-        color = _mean(mi, found, name, node, "base_color", made)
-        return coated(color, metallic=metallic, f0=f0, roughness=roughness**2)
+        return coat("base_color", metallic, f0, roughness**2)
     if node.plugin == "blendbsdf" and [child.plugin for child in node.of("BSDF")] == ["diffuse", "roughconductor"]:
         first, second = node.of("BSDF")
-        lobe = _glossy(mi, found, name, second, made, f"{prefix}bsdf_1.")
-        if (texture := first.textured("reflectance")) is not None:
-            raise found.refuse(name, f"{texture}, a texture in blendbsdf")
-        color = _color(parameters[f"{prefix}bsdf_0.reflectance.value"])
-        return attrs.evolve(lobe, color=color, gloss=value("weight", width=1))
+        lobe = _glossy(mi, images, name, second, made, f"{prefix}bsdf_1.")
+        color = images.color(name, first, "reflectance", parameters, f"{prefix}bsdf_0.")
+        gloss = _within(images.number(name, node, "weight", parameters, prefix), 0.0, 1.0)
+        return attrs.evolve(lobe, color=color, gloss=gloss)
     raise found.refuse(name, node.plugin)
+
+
+def _within(value: float | Texture, low: float, high: float) -> float | Texture:
+    """A number, or an image of them, cut to a range."""
+    if isinstance(value, Texture):
+        return Texture(np.clip(value.texels, low, high), value.wrap)
+    return float(np.clip(value, low, high))
 
 
 def _conductor(eta: np.ndarray, k: np.ndarray) -> np.ndarray:
@@ -471,49 +624,60 @@ def _of_index(index: float) -> float:
     return ((index - 1.0) / (index + 1.0)) ** 2
 
 
-def _mean(mi: Any, found: Import, name: str, node: _Node, feature: str, made: Any) -> Color:
-    """Diffuse reflectance that a feature of a BSDF says, a texture's mean."""
-    texture = node.textured(feature)
+def _reflects(
+    mi: Any, images: _Images, name: str, node: _Node, feature: str, made: Any, prefix: str
+) -> Color | Texture:
+    """Diffuse reflectance that a feature of a BSDF says; the mean of a texture that is no image."""
+    texture, parameters = node.textured(feature), mi.traverse(made)
+    if texture == "bitmap":
+        return images.color(name, node, feature, parameters, prefix)
     if texture is None:
-        values = [value for name, value in mi.traverse(made).items() if name.endswith(f"{feature}.value")]
+        values = [value for name, value in parameters.items() if name.endswith(f"{feature}.value")]
         if len(values) == 1:
             return _color(values[0])  # to evaluate it would be a kernel for each surface
+    _refuse_attribute(images.found, name, texture)
+    if texture is not None:
+        images.found.instead(name, f"{texture}, a texture of {feature}", "its mean")
+    return _reflectance(mi, made)
+
+
+def _refuse_attribute(found: Import, name: str, texture: str | None) -> None:
+    """Of what a mesh says at its vertices the unit square knows nothing."""
     if texture == "mesh_attribute":
         raise found.refuse(name, f"{texture}, a texture")
-    if texture is not None:
-        found.instead(name, f"{texture}, a texture of {feature}", "its mean")
-    return _reflectance(mi, made)
 
 
 def _reflectance(mi: Any, made: Any) -> Color:
     """Diffuse reflectance of a BSDF, its mean over the unit square of u and v."""
+    return _color(np.clip(_over_square(mi, made.eval_diffuse_reflectance), 0.0, 1.0))
+
+
+def _over_square(mi: Any, evaluated: Callable[[Any], Any]) -> np.ndarray:
+    """Mean (3,) of a function of an interaction over the unit square of u and v."""
     centres = (np.arange(_GRID) + 0.5) / _GRID
     grid = np.stack([each.ravel() for each in np.meshgrid(centres, centres)])
-    if mi.variant().startswith("scalar"):
-        values = np.array([_at(mi, made, uv) for uv in grid.T])
-    else:
-        values = _at(mi, made, grid)
-    return _color(np.clip(values.reshape(-1, 3).mean(axis=0), 0.0, 1.0))
-
-
-def _at(mi: Any, made: Any, uv: np.ndarray) -> np.ndarray:
-    si = mi.SurfaceInteraction3f()
-    si.wi, si.uv = mi.Vector3f(0.0, 0.0, 1.0), mi.Point2f(uv)
-    return np.array(made.eval_diffuse_reflectance(si), np.float64).T
-
-
-def _area(mi: Any, found: Import, node: _Node, emitter: _Node, shape: Any) -> Color:
-    """Radiance of a lamp."""
-    if emitter.plugin != "area":
-        raise found.refuse(node.name, f"{emitter.plugin}, an emitter of a shape")
-    if (texture := emitter.textured("radiance")) not in (None, "d65", "srgb", "uniform", "regular", "irregular"):
-        raise found.refuse(node.name, f"{texture}, a texture of radiance")
-    parameters = mi.traverse(shape.emitter())
-    if "radiance.value" in parameters:
-        return _color(parameters["radiance.value"])
     si = mi.SurfaceInteraction3f()
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    return _color(shape.emitter().eval(si))
+    values = []
+    for uv in grid.T if mi.variant().startswith("scalar") else [grid]:
+        si.uv = mi.Point2f(uv)
+        values.append(np.array(evaluated(si), np.float64).T.reshape(-1, 3))
+    return np.concatenate(values).mean(axis=0)
+
+
+def _area(mi: Any, images: _Images, node: _Node, emitter: _Node, shape: Any) -> Color | Texture:
+    """Radiance of a lamp; the mean of a texture that is no image."""
+    if emitter.plugin != "area":
+        raise images.found.refuse(node.name, f"{emitter.plugin}, an emitter of a shape")
+    texture, parameters = emitter.textured("radiance"), mi.traverse(shape.emitter())
+    if texture == "bitmap":
+        return images.color(node.name, emitter, "radiance", parameters, "")
+    if "radiance.value" in parameters:
+        return _color(parameters["radiance.value"])
+    _refuse_attribute(images.found, node.name, texture)
+    if texture is not None:
+        images.found.instead(node.name, f"{texture}, a texture of radiance", "its mean")
+    return _color(_over_square(mi, shape.emitter().eval))
 
 
 def _color(value: Any) -> Color:

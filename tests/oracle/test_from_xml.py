@@ -5,16 +5,20 @@ from pathlib import Path
 
 import attrs
 import numpy as np
+import PIL.Image
 import pytest
 import trimesh
+from scipy import ndimage
 
 from termwise import reference
 from termwise.reference import backend
 from termwise.scenes.exchange import mitsuba, neutral
+from termwise.scenes.images import openexr
 from termwise.scenes.limits import physical
 from termwise.scenes.load import load
-from termwise.scenes.model import Material, PointLight, Scene, SphereLight, largest
+from termwise.scenes.model import Material, Object, PointLight, Scene, SphereLight, largest
 from termwise.scenes.strict import FileError
+from termwise.scenes.textures import Texture
 from tests.scenes import small
 
 TWO = '<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="{}"/></bsdf></bsdf>'
@@ -136,6 +140,152 @@ def test_light_that_crosses_comes_back(tmp_path: Path):
         for field in ("color", "gloss", "translucency"):
             expected = getattr(theirs.surface, field)
             np.testing.assert_allclose(getattr(mine.surface, field), expected, rtol=1e-6)
+
+
+def same_value(mine: object, theirs: object) -> None:
+    """Numbers, or images to the bit."""
+    assert isinstance(mine, Texture) == isinstance(theirs, Texture)
+    if isinstance(mine, Texture):
+        assert mine == theirs
+    else:
+        np.testing.assert_allclose(mine, theirs, rtol=1e-6)  # type: ignore[arg-type]
+
+
+def test_images_come_back(tmp_path: Path):
+    """Every field that may be one, where it lies on the mesh, and how it goes on."""
+    wild = small("wild")
+    stone = wild.objects[1]
+    color, material = stone.material.color, stone.material
+    assert isinstance(color, Texture)
+    shares = Texture(color.texels[..., 1], "clamp")
+    others = {
+        "crossed": Material(attrs.evolve(color, wrap="clamp"), translucency=0.25),
+        "glossy": attrs.evolve(material, gloss=shares),
+        "lacquered": attrs.evolve(material, gloss=shares, translucency=0.25),
+    }
+    rectangle = wild.objects[0]
+    for number, (name, look) in enumerate(others.items(), start=1):
+        moved = attrs.evolve(rectangle.mesh, vertices=rectangle.mesh.vertices + [0.0, 0.0, -number])
+        wild = attrs.evolve(wild, objects=(*wild.objects, Object(name, moved, look)))
+    mitsuba.write(wild, tmp_path / "there.xml")
+    found = load(tmp_path / "there.xml", approximate=True)
+    assert [line.partition(":")[0] for line in found.substitutions] == ["stone", "glossy", "lacquered"]  # the lobe
+    for mine, theirs in zip(found.objects, wild.objects, strict=True):
+        same_value(mine.emission, theirs.emission)
+        for field in ("color", "gloss", "roughness", "translucency"):
+            if field == "color" or largest(theirs.surface.gloss) or field == "translucency":
+                same_value(getattr(mine.surface, field), getattr(theirs.surface, field))
+        np.testing.assert_array_equal(mine.mesh.vertices[mine.mesh.faces], theirs.mesh.vertices[theirs.mesh.faces])
+        np.testing.assert_allclose(mine.mesh.uv, theirs.mesh.uv, atol=1e-7)  # 1 - (1 - v), in float32
+    plain = neutral.diffuse(attrs.evolve(wild, objects=wild.objects[:3]))
+    mitsuba.write(plain, tmp_path / "plain.xml")
+    assert load(tmp_path / "plain.xml").substitutions == ()
+
+
+BITMAP = '<texture name="{}" type="bitmap"><string name="filename" value="{}"/>{}</texture>'
+SCREENS = f"""<scene version="3.0.0">{CAMERA}
+<shape type="rectangle" id="tiled"><transform name="to_world"><scale x="1" y="2"/></transform>
+  <bsdf type="twosided"><bsdf type="diffuse">{BITMAP.format("reflectance", "a.png", '<transform name="to_uv"><scale x="2" y="-1.5"/><rotate z="1" angle="20"/><translate x="0.3" y="0.1"/></transform>')}</bsdf></bsdf></shape>
+<shape type="obj" id="mapped"><string name="filename" value="mapped.obj"/><boolean name="flip_normals" value="true"/>
+  <bsdf type="twosided"><bsdf type="diffuse">{BITMAP.format("reflectance", "a.exr", '<string name="wrap_mode" value="clamp"/>')}</bsdf></bsdf></shape>
+<shape type="cube" id="cube"><transform name="to_world"><translate x="5"/></transform>
+  <bsdf type="twosided"><bsdf type="diffuse">{BITMAP.format("reflectance", "grey.exr", '<string name="wrap_mode" value="mirror"/>')}</bsdf></bsdf></shape>
+<shape type="rectangle" id="screen"><transform name="to_world"><translate z="3"/></transform>
+  <boolean name="flip_normals" value="true"/>{TWO.format("0 0 0")}
+  <emitter type="area">{BITMAP.format("radiance", "bright.exr", '<boolean name="raw" value="true"/>')}</emitter></shape>
+</scene>"""  # noqa: E501
+
+
+def bilinear(texture: Texture, uv: np.ndarray) -> np.ndarray:
+    """The image (N, 3) at places (N, 2), by SciPy."""
+    height, width, _ = texture.texels.shape
+    places = np.stack([(1.0 - uv[:, 1]) * height - 0.5, uv[:, 0] * width - 0.5])
+    mode = {"repeat": "grid-wrap", "clamp": "nearest"}[texture.wrap]
+    return np.stack(
+        [ndimage.map_coordinates(c, places, order=1, mode=mode) for c in np.moveaxis(texture.texels, 2, 0)]
+    ).T
+
+
+def looked_up(thing: Object, random: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (N, 3) of a surface, normals (N, 3) there, and what its image has there."""
+    face = random.integers(len(thing.mesh.faces), size=count)
+    weights = random.dirichlet([1.0, 1.0, 1.0], count)
+    corners = thing.mesh.vertices[thing.mesh.faces[face]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    (image,) = thing.images.values()
+    assert thing.mesh.uv is not None
+    places = np.einsum("nk,nkc->nc", weights, thing.mesh.uv[face])
+    points = np.einsum("nk,nkc->nc", weights, corners)
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True), bilinear(image, places)
+
+
+@pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="its calls take one point each")
+def test_bitmaps_lie_where_mitsuba_has_them(tmp_path: Path):
+    """Tiled, turned and mirrored by `to_uv`; by a mesh's own places; on a lamp that is turned over."""
+    random = np.random.default_rng(4)
+    PIL.Image.fromarray(random.integers(0, 256, (5, 4, 3), dtype=np.uint8)).save(tmp_path / "a.png")
+    for name, scale in (("a", 1.0), ("bright", 9.0)):
+        openexr.write(tmp_path / f"{name}.exr", scale * random.random((4, 6, 3), np.float32))
+    openexr.write(tmp_path / "grey.exr", np.repeat(random.random((3, 4, 1), np.float32), 3, axis=2))
+    corners = "v 0 0 8\nv 1 0 8\nv 0 1 8.5\nvt -0.2 0.1\nvt 1.3 0.2\nvt 0.4 0.9\nf 1/2 2/3 3/1\n"
+    (tmp_path / "mapped.obj").write_text(corners)
+    (tmp_path / "screens.xml").write_text(SCREENS)
+    scene = load(tmp_path / "screens.xml")
+    assert scene.substitutions == ()
+    points, normals, expected = (
+        np.concatenate(each) for each in zip(*(looked_up(thing, random, 40) for thing in scene.objects), strict=True)
+    )
+    mi = backend.import_mitsuba()
+    loaded = mi.load_file(str(tmp_path / "screens.xml"))
+    si = loaded.ray_intersect(mi.Ray3f(mi.Point3f((points + 0.1 * normals).T), mi.Vector3f(-normals.T)))
+    np.testing.assert_allclose(np.array(si.p).T, points, atol=1e-5)
+    found = np.array(si.bsdf().eval_diffuse_reflectance(si)) + np.array(si.emitter(loaded).eval(si))
+    np.testing.assert_allclose(found.T, expected, atol=2e-4)  # Mitsuba's places are of single precision
+
+
+# What is changed in the file above; the feature that the message names; the object and the mean that it then has.
+UNLAID: dict[str, tuple[str, str, str]] = {
+    "mirrored": ('<string name="wrap_mode" value="clamp"/>', '<string name="wrap_mode" value="mirror"/>', "mirrored"),
+    "steps": (
+        '<string name="wrap_mode" value="clamp"/>',
+        '<string name="filter_type" value="nearest"/>',
+        "not interpolated",
+    ),
+    "disk": ('<shape type="rectangle" id="screen">', '<shape type="disk" id="screen">', "without places in it"),
+}
+
+
+@pytest.mark.parametrize("case", UNLAID)
+def test_a_bitmap_that_cannot_be_laid_is_its_mean_and_listed(case: str, tmp_path: Path):
+    random = np.random.default_rng(4)
+    pixels = 0.5 * random.random((4, 6, 3), np.float32)
+    for name in ("a.exr", "bright.exr", "grey.exr"):
+        openexr.write(tmp_path / name, pixels)
+    PIL.Image.fromarray(random.integers(0, 256, (5, 4, 3), dtype=np.uint8)).save(tmp_path / "a.png")
+    (tmp_path / "mapped.obj").write_text("v 0 0 8\nv 1 0 8\nv 0 1 8.5\nvt 0 0\nvt 2 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    old, new, said = UNLAID[case]
+    assert old in SCREENS
+    (tmp_path / "screens.xml").write_text(SCREENS.replace(old, new))
+    name = "screen" if case == "disk" else "mapped"
+    with pytest.raises(FileError, match=f"{name}: bitmap, a texture of .*, .*{said}.* --approximate takes its mean"):
+        load(tmp_path / "screens.xml")
+    found = load(tmp_path / "screens.xml", approximate=True)
+    assert any(line.startswith(f"{name}: bitmap") and said in line for line in found.substitutions)
+    thing = next(each for each in found.objects if each.name == name)
+    np.testing.assert_allclose(
+        thing.emission if case == "disk" else thing.material.color, pixels.mean(axis=(0, 1)), rtol=1e-5
+    )
+
+
+def test_a_texel_that_no_surface_has_is_named(tmp_path: Path):
+    openexr.write(tmp_path / "a.exr", np.full((2, 2, 3), 1.5, np.float32))
+    image = BITMAP.format("reflectance", "a.exr", "")
+    shape = (
+        f'<shape type="rectangle" id="wall"><bsdf type="twosided"><bsdf type="diffuse">{image}</bsdf></bsdf></shape>'
+    )
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+    with pytest.raises(FileError, match=r"a.xml: wall: color: texel \[1.5, 1.5, 1.5\] in row 0, column 0: allowed is"):
+        load(tmp_path / "a.xml")
 
 
 def test_glass_comes_back(tmp_path: Path):
