@@ -6,27 +6,20 @@ beforehand: a sample is the value at one point.
 """
 
 import hashlib
-import io
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
 import attrs
 import numpy as np
-import PIL.Image
-import PIL.ImageCms
 
-from termwise.scenes import images, srgb
+from termwise.scenes import images, pictures, srgb
+from termwise.scenes.pictures import Encoding
 
 Wrap = Literal["repeat", "clamp"]
-Encoding = Literal["sRGB", "linear"]
 Channel = Literal["R", "G", "B"]
 
-_OF_BYTES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG"}
 ALLOWED = f"PNG, JPEG, {images.ALLOWED}"
-_GAMMAS: dict[float, Encoding] = {0.45455: "sRGB", 1.0: "linear"}
-"""What the chunk gAMA of PNG means; programs write the first for sRGB's curve, to which it is near."""
 
 
 def _texels(values: Any) -> np.ndarray:
@@ -126,13 +119,23 @@ def read_color(path: Path, encoding: Encoding | None) -> np.ndarray:
     Parameters
     ----------
     path : of a file of `ALLOWED`.
-    encoding : what its values are; None: what the file says, sRGB for whole numbers of which it says nothing.
+    encoding : what its values are, of Rec. 709; None: what the file says, sRGB for whole numbers of which it says
+        nothing, and linear floats.
 
     Raises
     ------
     ValueError : what is wrong, without the file's name.
     """
-    return _linear(*_read(path, encoding))
+    try:
+        with path.open("rb") as file:
+            begins = file.read(8)
+        if pictures.is_picture(begins):
+            return pictures.read(path.read_bytes(), encoding)
+        return _linear(images.read_one(path).pixels, encoding or "linear")
+    except OSError as error:
+        raise ValueError(f"cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ValueError(str(error).removeprefix(f"{path}: ").replace(images.ALLOWED, ALLOWED)) from None
 
 
 def read_number(path: Path, encoding: Encoding | None, channel: Channel | None) -> np.ndarray:
@@ -142,10 +145,10 @@ def read_number(path: Path, encoding: Encoding | None, channel: Channel | None) 
     ------
     ValueError : as `read_color`; for an image of colours without a channel.
     """
-    values, encoding = _read(path, encoding or "linear")
+    values = read_color(path, encoding or "linear")
     if channel is None and not np.array_equal(values, np.repeat(values[..., :1], 3, axis=2), equal_nan=True):
         raise ValueError("holds colours: allowed is a grey image, or a channel of it, 'R', 'G' or 'B'")
-    return _linear(values[..., "RGB".index(channel or "R")], encoding)
+    return values[..., "RGB".index(channel or "R")]
 
 
 def read_within(content: bytes, encoding: Encoding) -> np.ndarray:
@@ -155,20 +158,7 @@ def read_within(content: bytes, encoding: Encoding) -> np.ndarray:
     ------
     ValueError : as `read_color`.
     """
-    kind = next((name for magic, name in _OF_BYTES.items() if content.startswith(magic)), None)
-    if kind is None:
-        raise ValueError(f"begins with {content[:4]!r}: allowed are {' and '.join(_OF_BYTES.values())}")
-    try:
-        with warnings.catch_warnings(), PIL.Image.open(io.BytesIO(content), formats=[kind]) as image:
-            warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
-            return _linear(_shares(image, _is_wide(kind, content), opaque=False), encoding)
-    except (OSError, SyntaxError, PIL.Image.DecompressionBombError) as error:
-        raise ValueError(f"cannot be read: {' '.join(str(error).split())}") from None
-
-
-def _is_wide(kind: str, begins: bytes) -> bool:
-    """Whether a file is PNG of 16 bits."""
-    return kind == "PNG" and begins[24:25] == b"\x10"
+    return pictures.read(content, encoding, opaque=False)
 
 
 def _linear(values: np.ndarray, encoding: Encoding) -> np.ndarray:
@@ -176,52 +166,3 @@ def _linear(values: np.ndarray, encoding: Encoding) -> np.ndarray:
         return values.astype(np.float32)
     with np.errstate(invalid="ignore"):  # of NaN, and of what is below 0
         return srgb.decoded(values.astype(np.float64)).astype(np.float32)
-
-
-def _read(path: Path, encoding: Encoding | None) -> tuple[np.ndarray, Encoding]:
-    """Values (H, W, 3), of whole numbers as shares of the largest, and their encoding; the one that is given if any."""
-    try:
-        with path.open("rb") as file:
-            first = file.read(26)
-    except OSError as error:
-        raise ValueError(f"cannot be read: {error.strerror or error}") from None
-    kind = next((name for magic, name in _OF_BYTES.items() if first.startswith(magic)), None)
-    try:
-        if kind is None:
-            return images.read_one(path).pixels, encoding or "linear"
-        with warnings.catch_warnings(), PIL.Image.open(path, formats=[kind]) as image:
-            warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
-            return _shares(image, _is_wide(kind, first)), encoding or _said(image)
-    except (OSError, SyntaxError, PIL.Image.DecompressionBombError) as error:
-        raise ValueError(f"cannot be read: {' '.join(str(error).split())}") from None
-    except ValueError as error:
-        raise ValueError(str(error).removeprefix(f"{path}: ").replace(images.ALLOWED, ALLOWED)) from None
-
-
-def _shares(image: PIL.Image.Image, wide: bool, *, opaque: bool = True) -> np.ndarray:
-    """Values (H, W, 3) in [0, 1]; `wide`: of 16 bits, `opaque`: what is not is refused."""
-    if image.has_transparency_data:
-        if opaque and np.asarray(image.convert("RGBA"))[..., 3].min() < 255:
-            raise ValueError("holds transparent texels, and a surface is opaque: allowed is an image without")
-    elif image.mode not in ("1", "L", "P", "RGB", "I;16"):
-        raise ValueError(f"holds {image.mode}: allowed are grey and RGB")
-    if image.mode == "I;16":
-        return np.repeat(np.asarray(image, np.float64)[..., None] / 65535.0, 3, axis=2)
-    if wide:
-        raise ValueError("holds colours of 16 bits, which would be cut to 8: write OpenEXR, or 8 bits")
-    return np.asarray(image.convert("RGB"), np.float64) / 255.0
-
-
-def _said(image: PIL.Image.Image) -> Encoding:
-    """What a file of whole numbers says of its encoding; sRGB where it says nothing."""
-    if "srgb" in image.info:
-        return "sRGB"
-    if profile := image.info.get("icc_profile"):
-        name = PIL.ImageCms.getProfileDescription(PIL.ImageCms.ImageCmsProfile(io.BytesIO(profile))).strip()
-        if "srgb" in name.lower():
-            return "sRGB"
-        raise ValueError(f"is of the profile {name!r}: allowed is sRGB, or to say the encoding, 'sRGB' or 'linear'")
-    gamma = image.info.get("gamma", 0.45455)
-    if gamma not in _GAMMAS:
-        raise ValueError(f"says that its gamma is {gamma:g}: allowed is to say the encoding, 'sRGB' or 'linear'")
-    return _GAMMAS[gamma]

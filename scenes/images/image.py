@@ -79,8 +79,8 @@ def cut_short(path: Path, lacking: str) -> ValueError:
     return ValueError(f"{path}: is cut short: {lacking}: write or copy it again")
 
 
-def in_rec709(path: Path, pixels: np.ndarray, chromaticities: Sequence[float]) -> tuple[np.ndarray, str]:
-    """Pixels of other primaries as Rec. 709, and what they were.
+def in_rec709(path: Path | str, pixels: np.ndarray, chromaticities: Sequence[float]) -> tuple[np.ndarray, str]:
+    """Pixels of other primaries as Rec. 709, and what they were; `path`, or other words, leads a message.
 
     `XYZ = P diag(P⁻¹ W) RGB`, with the primaries' (x, y, 1 - x - y) as the columns of P and the white W of luminance 1.
 

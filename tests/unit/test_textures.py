@@ -4,7 +4,9 @@ Rationale: a wrong encoding or an image upside down is a plausible picture. Valu
 are told by one quad that three formats hold, and each refusal is one line that names object, field, file and reason.
 """
 
+import io
 import json
+import struct
 import zlib
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,9 @@ import attrs
 import colour
 import jsonschema
 import numpy as np
+import PIL.ExifTags
 import PIL.Image
+import PIL.ImageCms
 import PIL.PngImagePlugin
 import pytest
 
@@ -105,6 +109,132 @@ def test_a_gamma_of_png_is_heeded(tmp_path: Path):
     with pytest.raises(ValueError, match=r"its gamma is 0.5: allowed is to say the encoding"):
         textures.read_color(of_gamma(50_000), None)
     np.testing.assert_allclose(textures.read_color(of_gamma(50_000), "sRGB"), SRGB, rtol=1e-6)
+
+
+def chunked(path: Path, *chunks: tuple[bytes, bytes], values: np.ndarray = BYTES) -> Path:
+    """A PNG with chunks before its pixels."""
+    said = PIL.PngImagePlugin.PngInfo()
+    for name, data in chunks:
+        said.add(name, data)
+    return png(path, values, pnginfo=said)
+
+
+def primaries(name: str) -> tuple[bytes, bytes]:
+    """The chunk cHRM of a colour space: white, red, green, blue."""
+    space = colour.RGB_COLOURSPACES[name]
+    numbers = [*space.whitepoint, *np.ravel(space.primaries)]
+    return b"cHRM", struct.pack(">8I", *(round(1e5 * each) for each in numbers))
+
+
+MUTED = np.random.default_rng(2).integers(110, 150, (3, 5, 3), dtype=np.uint8)
+"""Colours that no primaries take out of Rec. 709."""
+
+
+@pytest.mark.parametrize(
+    ("space", "code_points", "linear"),
+    [("Display P3", (12, 13), False), ("ITU-R BT.2020", (9, 13), False), ("ITU-R BT.2020", (9, 8), True)],
+)
+def test_other_primaries_are_converted(space: str, code_points: tuple[int, int], linear: bool, tmp_path: Path):
+    """Those of the chunks cHRM and cICP, as colour-science converts them; a chunk sRGB stands above the former."""
+    shares = MUTED / 255.0
+    decoded = shares if linear else colour.cctf_decoding(shares, function="sRGB")
+    matrix = colour.matrix_RGB_to_RGB(
+        colour.RGB_COLOURSPACES[space], colour.RGB_COLOURSPACES["sRGB"], chromatic_adaptation_transform=None
+    )
+    expected = decoded @ matrix.T
+    assert np.abs(expected - decoded).max() > 0.01
+    gamma = b"gAMA", struct.pack(">I", 100_000 if linear else 45_455)
+    coded = b"cICP", bytes([*code_points, 0, 1])
+    for name, chunks in (("told", [gamma, primaries(space)]), ("coded", [primaries("ACEScg"), coded])):
+        path = chunked(tmp_path / f"{name}.png", *chunks, values=MUTED)
+        np.testing.assert_allclose(textures.read_color(path, None), expected, atol=2e-4, err_msg=name)
+        np.testing.assert_allclose(  # the scene has the last word
+            textures.read_color(path, "sRGB"), colour.cctf_decoding(shares, function="sRGB"), rtol=1e-6
+        )
+    path = chunked(tmp_path / "srgb.png", primaries(space), (b"sRGB", b"\0"))
+    np.testing.assert_allclose(textures.read_color(path, None), SRGB, rtol=1e-6)
+
+
+def profile(change: dict[bytes, bytes] | None = None) -> bytes:
+    """An sRGB profile, the numbers of some tags changed, its name as it was."""
+    data = bytearray(PIL.ImageCms.ImageCmsProfile(PIL.ImageCms.createProfile("sRGB")).tobytes())
+    for tag, numbers in (change or {}).items():
+        at = data.index(tag)  # its first place is in the table of tags
+        (offset,) = struct.unpack_from(">I", data, at + 4)
+        data[offset + 8 : offset + 8 + len(numbers)] = numbers
+    return bytes(data)
+
+
+def turned(number: int) -> PIL.Image.Exif:
+    said = PIL.Image.Exif()
+    said[PIL.ExifTags.Base.Orientation] = number
+    return said
+
+
+def adobe() -> PIL.Image.Exif:
+    said = PIL.Image.Exif()
+    said.get_ifd(PIL.ExifTags.IFD.Exif)[PIL.ExifTags.IFD.Interop] = {1: "R03"}
+    return said
+
+
+def test_a_profile_is_known_by_its_numbers(tmp_path: Path):
+    """A linear one, or one with another red, that calls itself sRGB is another."""
+    np.testing.assert_allclose(
+        textures.read_color(png(tmp_path / "a.png", icc_profile=profile()), None), SRGB, rtol=1e-6
+    )
+    grey = png(tmp_path / "grey.png", BYTES[..., 0], icc_profile=profile())
+    np.testing.assert_allclose(textures.read_color(grey, None)[..., 1], SRGB[..., 0], rtol=1e-6)
+    linear = struct.pack(">HHi", 0, 0, 65536)  # a curve of the kind 0, a power of 1
+    wrong = {
+        "linear": profile(dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), linear)),
+        "red": profile({b"rXYZ": struct.pack(">3i", *(round(65536 * each) for each in (0.5151, 0.2412, -0.0011)))}),
+    }
+    for name, data in wrong.items():
+        for suffix in (".png", ".jpg"):
+            with pytest.raises(ValueError, match="is of the profile 'sRGB built-in': allowed is sRGB, or to say"):
+                textures.read_color(png(tmp_path / f"{name}{suffix}", icc_profile=data), None)
+    with pytest.raises(ValueError, match="has a profile that cannot be read"):
+        textures.read_color(png(tmp_path / "bad.png", icc_profile=b"none of it"), None)
+    np.testing.assert_allclose(textures.read_color(tmp_path / "bad.png", "sRGB"), SRGB, rtol=1e-6)
+    with pytest.raises(ValueError, match="is of Adobe RGB, by its EXIF"):
+        textures.read_color(png(tmp_path / "adobe.jpg", exif=adobe()), None)
+
+
+@pytest.mark.parametrize(
+    ("chunk", "message"),
+    [
+        ((b"cICP", bytes([9, 16, 0, 1])), "says cICP 9-16-0-1: allowed is a transfer"),  # PQ
+        ((b"cICP", bytes([1, 1, 0, 1])), "says cICP 1-1-0-1: allowed is a transfer"),  # that of cameras
+        ((b"cICP", bytes([3, 13, 0, 1])), "says cICP 3-13-0-1: .* of primaries"),
+        ((b"cICP", bytes([1, 13, 1, 1])), "says cICP 1-13-1-1: allowed are four numbers, the last two 0 and 1"),
+        ((b"cICP", bytes([1, 13, 0, 0])), "says cICP 1-13-0-0: allowed are four numbers"),
+        ((b"cICP", bytes([11, 13, 0, 1])), "another white than Rec. 709"),
+        (primaries("ACEScg"), "another white than Rec. 709"),
+    ],
+)
+def test_colours_that_have_no_one_meaning_are_refused(chunk: tuple[bytes, bytes], message: str, tmp_path: Path):
+    path = chunked(tmp_path / "a.png", chunk)
+    with pytest.raises(ValueError, match=message):
+        textures.read_color(path, None)
+    np.testing.assert_allclose(textures.read_color(path, "sRGB"), SRGB, rtol=1e-6)
+    np.testing.assert_allclose(textures.read_number(path, None, "G"), SHARES[..., 1], rtol=1e-6)  # no colour
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_picture_that_is_stored_turned_is_refused(suffix: str, tmp_path: Path):
+    upright = png(tmp_path / f"upright{suffix}", exif=turned(1))
+    assert textures.read_color(upright, None).shape == (3, 5, 3)
+    on_its_side = png(tmp_path / f"side{suffix}", exif=turned(6))
+    for read in (
+        lambda: textures.read_color(on_its_side, None),
+        lambda: textures.read_number(on_its_side, "linear", "R"),
+        lambda: textures.read_within(on_its_side.read_bytes(), "sRGB"),
+    ):
+        with pytest.raises(ValueError, match="is stored turned .EXIF: orientation 6.* write it upright"):
+            read()
+    damaged = io.BytesIO()
+    PIL.Image.fromarray(BYTES).save(damaged, "jpeg", exif=b"Exif\0\0none of it")
+    assert textures.read_within(damaged.getvalue(), "sRGB").shape == (3, 5, 3)
 
 
 def test_grey_palettes_and_sixteen_bits(tmp_path: Path):
