@@ -12,6 +12,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from termwise.scenes.exchange import gltf_numbers
 from termwise.scenes.exchange.imported import LONGEST, MIRROR, Import, Unsaid, coated, look
 from termwise.scenes.exchange.mitsuba import SMOOTH
 from termwise.scenes.meshes.glb import File, described
@@ -94,8 +95,13 @@ def _primitive(found: Import, file: File, number: int, primitive: Any, points: n
     if "COLOR_0" in attributes:
         found.instead(name, "COLOR_0, colours at the vertices", "their mean")
         tint = file.accessor(attributes["COLOR_0"])[:, :3].mean(axis=0)
-    used = file.item("materials", primitive["material"]) if "material" in primitive else {}
-    images = _Images(found, file, primitive, f"material {used['name']!r}" if "name" in used else name)
+    used, called = {}, name
+    if "material" in primitive:
+        used = file.item("materials", primitive["material"])
+        named = isinstance(used, dict) and "name" in used
+        called = f"material {used['name']!r}" if named else name
+        gltf_numbers.check(f"{found.path}: {called}", used, gltf_numbers.MATERIAL)
+    images = _Images(found, file, primitive, called)
     material, emission = _material(found, used, tint, images)
     material = _transparent(found, used, images, name, material)
     material = _translucent(found, used, name, material)
@@ -312,6 +318,7 @@ def _light(found: Import, file: File, number: int, light: int) -> None:
     """A light by the place of its node, which shines along its -z."""
     given = file.description["extensions"]["KHR_lights_punctual"]["lights"][light]
     name = _named("light", file.item("nodes", number), number)
+    gltf_numbers.check(f"{found.path}: {name}", given, gltf_numbers.LIGHT)
     if "range" in given:
         found.instead(name, f"range {given['range']}, beyond which it ends", "a light without an end")
     color = tuple((np.array(given.get("color", (1.0, 1.0, 1.0)), float) * given.get("intensity", 1.0)).tolist())
@@ -335,6 +342,7 @@ def _camera(found: Import, file: File, number: int, camera: int) -> None:
     """The first camera; further ones are named."""
     given = file.item("cameras", camera)
     name = _named("camera", file.item("nodes", number), number)
+    gltf_numbers.check(f"{found.path}: {name}", given, gltf_numbers.CAMERA)
     if found.camera is not None:
         found.assume(f"the first camera is meant, not {name}")
         return

@@ -131,10 +131,12 @@ class File:
         return downwards(self.accessor(primitive["attributes"][name]))
 
     def item(self, kind: str, number: int) -> Any:
-        """What has a number in one of the lists: Python would take -1 for the last."""
-        if number < 0:
-            raise IndexError(f"{kind} has no {number}")
-        return self.description[kind][number]
+        """What has a number in one of the lists: Python would take -1 for the last, and true for 1."""
+        items = self.description.get(kind, [])
+        if type(number) is not int or not 0 <= number < len(items):
+            there = f"0 to {len(items) - 1}" if items else "none"
+            raise IndexError(f"{kind} has no {number!r}: allowed are {there}")
+        return items[number]
 
     def scene(self) -> list[int]:
         """Nodes of the default scene, or of the first; of a file without scenes, all."""

@@ -329,6 +329,73 @@ def test_what_the_model_cannot_say_is_refused_by_name_or_listed(case: str, tmp_p
     assert load(path, approximate=True).digest() == attrs.evolve(found, substitutions=()).digest()
 
 
+def extended(name: str, **values: object) -> Callable[[dict[str, Any]], object]:
+    return lambda d: monkey(d)["extensions"].update({f"KHR_materials_{name}": values})
+
+
+def surfaced(**values: object) -> Callable[[dict[str, Any]], object]:
+    return lambda d: monkey(d)["pbrMetallicRoughness"].update(values)
+
+
+# What is changed, and the node, field, value and what is allowed, as the message has them.
+WRONG: tuple[tuple[Callable[[dict[str, Any]], object], str], ...] = (
+    (extended("transmission", transmissionFactor=1.5), "KHR_materials_transmission.transmissionFactor = 1.5: allowed"),
+    (extended("transmission", transmissionFactor=-0.1), "transmissionFactor = -0.1: allowed is a number in [0, 1]"),
+    (extended("transmission", transmissionFactor="1"), "transmissionFactor = '1': allowed is a number in [0, 1]"),
+    (extended("transmission", transmissionFactor=True), "transmissionFactor = True: allowed is a number in [0, 1]"),
+    (extended("transmission", transmissionFactor=float("nan")), "transmissionFactor = nan: allowed is a number in"),
+    (extended("volume", thicknessFactor=[1.0]), "thicknessFactor = [1.0]: allowed is a number in [0, inf)"),
+    (extended("volume", attenuationDistance=0), "attenuationDistance = 0: allowed is a number in (0, inf)"),
+    (extended("ior", ior=None), "extensions.KHR_materials_ior.ior = None: allowed is a number in [0, inf)"),
+    (
+        extended("specular", specularColorFactor=[1, 1]),
+        "specularColorFactor = [1, 1]: allowed is 3 numbers in [0, inf)",
+    ),
+    (extended("emissive_strength", emissiveStrength="9"), "emissiveStrength = '9': allowed is a number in [0, inf)"),
+    (extended("diffuse_transmission", diffuseTransmissionFactor=2), "diffuseTransmissionFactor = 2: allowed is a"),
+    (lambda d: monkey(d)["extensions"].update(KHR_materials_ior=1.5), "KHR_materials_ior = 1.5: allowed is an object"),
+    (surfaced(metallicFactor="x"), "pbrMetallicRoughness.metallicFactor = 'x': allowed is a number in [0, 1]"),
+    (surfaced(roughnessFactor=1.01), "pbrMetallicRoughness.roughnessFactor = 1.01: allowed is a number in [0, 1]"),
+    (surfaced(baseColorFactor=[1, 1, 1]), "baseColorFactor = [1, 1, 1]: allowed is 4 numbers in [0, 1]"),
+    (surfaced(baseColorFactor=[1, 1, "1", 1]), "baseColorFactor = [1, 1, '1', 1]: allowed is 4 numbers in [0, 1]"),
+    (surfaced(baseColorTexture={"index": 0.5}), "baseColorTexture.index = 0.5: allowed is an integer in [0, inf)"),
+    (lambda d: monkey(d).update(emissiveFactor=3.0), "emissiveFactor = 3.0: allowed is 3 numbers in [0, inf)"),
+    (lambda d: monkey(d).update(doubleSided=1), "doubleSided = 1: allowed is true or false"),
+    (lambda d: monkey(d).update(alphaMode="CLEAR"), "alphaMode = 'CLEAR': allowed is OPAQUE, MASK, BLEND"),
+)
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG)
+def test_a_number_of_a_material_that_is_none_is_named(
+    change: Callable[[dict[str, Any]], object], said: str, tmp_path: Path
+):
+    """With file, material, field and what is allowed, whether the feature itself is read or not."""
+    path = changed(tmp_path, change)
+    for approximate in (False, True):
+        with pytest.raises(FileError) as refused:
+            load(path, approximate=approximate)
+        message = str(refused.value)
+        assert message.startswith(f"{path}: material 'monkey': ")
+        assert said in message
+        assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: light(d).update(intensity=[1]), "light 0: intensity = [1]: allowed is a number in [0, inf)"),
+        (lambda d: light(d).update(color=[1, 1, -1]), "light 0: color = [1, 1, -1]: allowed is 3 numbers in"),
+        (lambda d: d["cameras"][0]["perspective"].update(yfov=4), "camera: perspective.yfov = 4: allowed is a number"),
+        (lambda d: surfaced(baseColorTexture={"index": 7})(d), "textures has no 7: allowed are none"),
+    ],
+)
+def test_so_are_those_of_lights_and_cameras(change: Callable[[dict[str, Any]], object], said: str, tmp_path: Path):
+    with pytest.raises(FileError) as refused:
+        load(changed(tmp_path, change))
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
 def test_a_texture_is_its_mean_in_linear_light(tmp_path: Path):
     png = io.BytesIO()
     texels = np.zeros((2, 2, 3), np.uint8)
