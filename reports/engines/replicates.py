@@ -2,8 +2,10 @@
 
 import hashlib
 import os
+import threading
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -130,17 +132,39 @@ class Here:
         raise NotImplementedError
 
 
-def made(jobs: Sequence[EngineReplicate], *, threads: int | None = None) -> Iterator[EngineReplicate]:
-    """Have jobs done one after another in the cache; yields each when it is.
+def made(
+    jobs: Sequence[EngineReplicate], *, threads: int | None = None, together: int = 1
+) -> Iterator[EngineReplicate]:
+    """Have jobs done in the cache, so many `together`, which share the threads; yields each when it is.
 
     Raises
     ------
-    EngineError : of the first that fails.
+    EngineError : of the first that fails; those that run are waited for.
     """
-    seat = Here(cache_folder(), threads)
-    for job in jobs:
-        job.take(seat)
-        yield job
+    seat = Here(cache_folder(), max(1, (threads or os.cpu_count() or 1) // together))
+    over = threading.Event()
+
+    def take(job: EngineReplicate) -> EngineReplicate | None:
+        if over.is_set():
+            return None
+        try:
+            job.take(seat)
+        except BaseException:
+            over.set()  # here, for this thread would begin the next one
+            raise
+        return job
+
+    with ThreadPoolExecutor(together) as pool:
+        try:
+            for done in as_completed([pool.submit(take, job) for job in jobs]):
+                if (job := done.result()) is not None:
+                    yield job
+        except EngineError:
+            raise
+        except BaseException:  # Ctrl-C, which reaches this thread alone
+            over.set()
+            running.end_all()
+            raise
 
 
 @attrs.frozen(eq=False)
@@ -185,11 +209,12 @@ def rendered(
     seed: int,
     count: int,
     threads: int | None = None,
+    together: int = 1,
     progress: Callable[[], object] | None = None,
 ) -> Images:
-    """Images of one scene, from the cache or rendered now; arguments as for `replicates`."""
+    """Images of one scene, from the cache or rendered now; arguments as for `replicates` and `made`."""
     jobs = replicates(engine, asked, spp=spp, seed=seed, count=count)
-    for _ in made(jobs, threads=threads):
+    for _ in made(jobs, threads=threads, together=together):
         if progress:
             progress()
     return collected(jobs, cache_folder())

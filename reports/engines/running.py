@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -27,6 +28,10 @@ _SAID = 240
 """Characters of a log's end that a message holds."""
 _ENDS_S = 2.0
 """Seconds between asking a process to end and ending it."""
+_GROUPS: set[int] = set()
+"""Process groups that run."""
+_READING = threading.Lock()
+"""Readers of images silence their libraries by way of the whole process's standard error."""
 
 
 @attrs.frozen(eq=False)
@@ -99,7 +104,14 @@ def _run(engine: Engine, asked: Asked, folder: Path, *, spp: int, seed: int, thr
         raise EngineError(f"took longer than timeout_s = {says.timeout_s:g} and was ended")
     if status not in says.accept_exit:
         raise EngineError(f"{_died(status)}: allowed is {', '.join(map(str, says.accept_exit))}")
-    return attrs.evolve(_read(engine, asked, output, folder, start), seconds=seconds)
+    with _READING:
+        return attrs.evolve(_read(engine, asked, output, folder, start), seconds=seconds)
+
+
+def end_all() -> None:
+    """End the runs of all threads, and what they have started."""
+    for group in tuple(_GROUPS):
+        _signal(group, signal.SIGKILL)
 
 
 def _status(command: list[str], folder: Path, timeout_s: float, variables: dict[str, str]) -> int | None:
@@ -117,6 +129,7 @@ def _status(command: list[str], folder: Path, timeout_s: float, variables: dict[
             )
         except OSError as error:
             raise EngineError(f"{command[0]!r} cannot be run: {error.strerror or error}") from None
+        _GROUPS.add(process.pid)
         try:
             return process.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -127,6 +140,7 @@ def _status(command: list[str], folder: Path, timeout_s: float, variables: dict[
         finally:
             _signal(process.pid, signal.SIGKILL)
             process.wait()
+            _GROUPS.discard(process.pid)
 
 
 def _signal(group: int, number: signal.Signals) -> None:

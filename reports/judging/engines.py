@@ -42,6 +42,7 @@ class Asking:
     spp : samples per pixel of an engine; None: those that its file says.
     threads : None: one a core.
     probed : whether an engine is probed before it is believed.
+    together : runs of an engine at a time, which share the threads.
     """
 
     replicates: int = 16
@@ -49,6 +50,7 @@ class Asking:
     spp: int | None = None
     threads: int | None = None
     probed: bool = True
+    together: int = 1
 
     def samples(self, engine: Engine) -> int:
         """Samples per pixel of an engine."""
@@ -74,6 +76,7 @@ def furnace(
 ) -> Judged:
     """Render the furnaces and judge them against their radiance; pages go to `folder`."""
     scenes = furnaces()
+    how = attrs.evolve(how, together=_threads(how))  # of so small images most seconds are those of a start
     family = _Family(how, report, _steps(engines, ([each.asked] for each in scenes), how))
     for engine in family.believed(engines):
         for each in scenes:
@@ -167,6 +170,7 @@ def _rendered(engine: Engine, part: Asked, how: Asking, progress: Callable[[], o
         seed=how.seed,
         count=how.replicates,
         threads=how.threads,
+        together=how.together,
         progress=progress,
     )
 

@@ -7,6 +7,8 @@ rightly is rendered by the path tracer of the manual.
 import json
 import os
 import pickle
+import signal
+import threading
 import time
 from pathlib import Path
 from typing import get_args
@@ -22,7 +24,7 @@ from termwise.reports.engines import engine as engines
 from termwise.reports.engines import furnaces, probe
 from termwise.reports.engines.asked import FEATURES, Asked, lacking, rows
 from termwise.reports.engines.engine import EngineError
-from termwise.reports.engines.replicates import collected, rendered, replicates
+from termwise.reports.engines.replicates import collected, made, rendered, replicates
 from termwise.reports.engines.running import seed_of
 from termwise.reports.jobs.executors import InThisProcess
 from termwise.reports.judging import engines as judging
@@ -40,6 +42,9 @@ width, height = json.load(open(scene))["film"]["resolution"]
 print("loading", mode)
 if mode == "dies":
     sys.exit("no licence is left")
+if mode == "meets":
+    while len(open(done).read().split()) < 2:  # until another run has begun
+        time.sleep(0.01)
 if mode == "hangs":
     open(done + ".child", "w").write(str(subprocess.Popen(["sleep", "60"]).pid))
     time.sleep(60)
@@ -213,6 +218,37 @@ def test_images_are_kept_by_all_that_decides_them(tmp_path: Path):
     engines._digest.cache_clear()  # as in another process
     (tmp_path / "fake.py").write_text(FAKE + "\n# changed\n")
     assert runs(engine) == 2
+
+
+def test_runs_stand_beside_each_other_where_they_may(tmp_path: Path):
+    """Each of two waits until the other has begun; one after another they would wait for ever."""
+    engine = fake(tmp_path, "meets", "timeout_s = 5.0")
+    assert len(rendered(engine, SCENE, spp=1, seed=1, count=2, together=2).stack) == 2
+    alone = sorted(job.read(cache_folder()).image.sum() for job in replicates(engine, SCENE, spp=1, seed=1, count=2))
+    assert alone[0] != alone[1]
+
+
+def test_a_run_that_fails_ends_the_others_to_come(tmp_path: Path):
+    with pytest.raises(EngineError, match="no licence is left"):
+        rendered(fake(tmp_path, "dies"), SCENE, spp=1, seed=1, count=9, together=2)
+    assert len((tmp_path / "done").read_text().split()) <= 2
+
+
+def test_ctrl_c_ends_what_runs(tmp_path: Path):
+    """It reaches the main thread, which waits for those that wait for the engine."""
+    jobs = replicates(fake(tmp_path, "hangs"), SCENE, spp=1, seed=1, count=2)
+    child = tmp_path / "done.child"
+
+    def interrupt() -> None:
+        while not (child.exists() and child.read_text()):
+            time.sleep(0.01)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        list(made(jobs, together=2))
+    assert time.monotonic() - begin < 30.0  # it would hang for 60 s
 
 
 def test_a_damaged_image_is_rendered_again(tmp_path: Path):

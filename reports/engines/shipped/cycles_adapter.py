@@ -2,13 +2,15 @@
 
 Blender as it comes is not what a reference is compared with: a pixel filter wider than a pixel, 12 bounces, clamped
 indirect light, samples that stop early, light sampling that leaves dim lamps out. All that is set here; `--as-it-comes`
-leaves it, `--set name=value` sets a property of `scene.cycles` after that.
+leaves it, `--set name=value` sets a property of `scene.cycles` after that. It runs in Python with the module bpy, or
+in Blender: blender -b --python cycles_adapter.py -- SCENE OUTPUT ...
 """
 
 # pyright: reportMissingImports=false
 import argparse
 import json
 import math
+import sys
 
 import bpy
 from mathutils import Matrix, Vector
@@ -25,7 +27,7 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=int, default=value)
     parser.add_argument("--as-it-comes", action="store_true")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
-    given = parser.parse_args()
+    given = parser.parse_args(sys.argv[sys.argv.index("--") + 1 if "--" in sys.argv else 1 :])
     with open(given.scene) as file:
         described = json.load(file)
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -2,8 +2,9 @@
 
 LuxCore as it comes filters pixels by a Blackman-Harris window, scatters light 6 times, samples adaptively, and ends
 paths by a Russian roulette that adds light (version 2.11.2: 13 % in a closed box of albedo 0.95). That is set here, the
-roulette begins where next to no light is left; `--as-it-comes` leaves all of it. Its images stand one row of pixels
-lower than those of a pinhole whose window is symmetric: the window is moved by one row to undo that.
+roulette begins where next to no light is left; `--as-it-comes` leaves all of it, `--set name=value` sets a property of
+LuxCore's after that. Its images stand one row of pixels lower than those of a pinhole whose window is symmetric: the
+window is moved by one row to undo that.
 """
 
 # pyright: reportMissingImports=false
@@ -32,6 +33,7 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=int, default=value)
     parser.add_argument("--roulette", type=int, default=ROULETTE)
     parser.add_argument("--as-it-comes", action="store_true")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     given = parser.parse_args()
     with open(given.scene) as file:
         described = json.load(file)
@@ -46,7 +48,8 @@ def main() -> None:
         told |= {"scene.lights.sky.type": "constantinfinite", "scene.lights.sky.color": described["sky"]["radiance"]}
         told |= {"scene.lights.sky.gain": [1.0] * 3}
     scene.Parse(properties(told))
-    config = pyluxcore.RenderConfig(properties(settings(described["film"]["resolution"], given)), scene)
+    chosen = settings(described["film"]["resolution"], given) | dict(word.split("=", 1) for word in given.set)
+    config = pyluxcore.RenderConfig(properties(chosen), scene)
     session = pyluxcore.RenderSession(config)
     session.Start()
     while not session.HasDone():
