@@ -587,9 +587,9 @@ def _glossy(mi: Any, images: _Images, name: str, node: _Node, made: Any, prefix:
         return Material(BLACK, 1.0, _within(alpha, MIRROR, 1.5), _color(np.clip(f0, 0.0, 1.0)))
     if node.plugin in _COATED:
         index = value("eta", width=1)
-        alpha = MIRROR if node.plugin == "plastic" else value("alpha", width=1)
         found.instead(name, node.plugin, "a lobe over a diffuse base, equal at normal incidence")
-        return coat("diffuse_reflectance", 0.0, _of_index(index), alpha)
+        roughness = MIRROR if node.plugin == "plastic" else value("alpha", width=1)
+        return coat("diffuse_reflectance", 0.0, _of_index(index), roughness)
     if node.plugin == "principled":
         if value("spec_trans", width=1) > 0.0:
             raise found.refuse(name, "principled with spec_trans, which transmits light")

@@ -224,8 +224,6 @@ def test_runs_stand_beside_each_other_where_they_may(tmp_path: Path):
     """Each of two waits until the other has begun; one after another they would wait for ever."""
     engine = fake(tmp_path, "meets", "timeout_s = 5.0")
     assert len(rendered(engine, SCENE, spp=1, seed=1, count=2, together=2).stack) == 2
-    alone = sorted(job.read(cache_folder()).image.sum() for job in replicates(engine, SCENE, spp=1, seed=1, count=2))
-    assert alone[0] != alone[1]
 
 
 def test_a_run_that_fails_ends_the_others_to_come(tmp_path: Path):
