@@ -42,7 +42,6 @@ class _Numbers:
 
 _SHARE, _FACTOR, _FINITE = _Numbers(0.0, 1.0), _Numbers(0.0), _Numbers()
 _INDEX = _Numbers(0, whole=True)
-_COLOR = _Numbers(0.0, 1.0, 3)
 _TEXTURE = {
     "index": _INDEX,
     "texCoord": _INDEX,
@@ -72,7 +71,7 @@ MATERIAL: dict[str, Any] = {
     "extensions": {
         "KHR_materials_diffuse_transmission": {
             "diffuseTransmissionFactor": _SHARE,
-            "diffuseTransmissionColorFactor": _COLOR,
+            "diffuseTransmissionColorFactor": _Numbers(0.0, count=3),
             "diffuseTransmissionTexture": _TEXTURE,
             "diffuseTransmissionColorTexture": _TEXTURE,
         },
@@ -89,7 +88,7 @@ MATERIAL: dict[str, Any] = {
             "thicknessFactor": _FACTOR,
             "thicknessTexture": _TEXTURE,
             "attenuationDistance": _Numbers(0.0, above=True),
-            "attenuationColor": _COLOR,
+            "attenuationColor": _Numbers(0.0, 1.0, 3),
         },
     },
 }
