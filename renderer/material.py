@@ -195,7 +195,7 @@ def chain_ends(dielectrics: Dielectrics | None, way: int, gloss: float, surface:
     if dielectrics is not None and way != REFLECTED:
         opaque = dielectrics.opaque[surface.object]
         return opaque and (gloss == 0.0 or way == REFRACTED)
-    return gloss == 0.0
+    return gloss == 0.0 or way == REFRACTED  # it refracts nothing
 
 
 @device
