@@ -4,6 +4,7 @@
 `Judgement`. `judge` is both, for a family of one.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,15 @@ from termwise.reports.judging.hints import Hint, hints
 from termwise.reports.statistics import accumulation, rule
 from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.headline import headline
-from termwise.reports.statistics.replicates import bands, stacked
+from termwise.reports.statistics.replicates import mapping, stacked
 from termwise.reports.statistics.verdict import LEVEL, MARGIN, Verdict
 from termwise.scenes.terms import TermImage
 
 Images = Any
 """Replicates: an array (K, H, W, 3), a `TermImage` that holds them, files or folders, or a sequence of (H, W, 3)."""
+
+_CACHED = 2**18
+"""Numbers that a processor's cache holds, in float64."""
 
 
 @attrs.frozen(eq=False, repr=False, kw_only=True)
@@ -367,15 +371,20 @@ def mask_map(given: np.ndarray | Path | str | None) -> np.ndarray | None:
 
 
 def mean_and_variance(stack: np.ndarray) -> TermImage:
-    """Of replicates (n, H, W, 3), read by bands of rows; what is not finite is named by the verdict."""
-    count, shape = len(stack), stack.shape[1:]
-    mean, variance = (np.full(shape, np.nan, np.float32) for _ in range(2))
-    with np.errstate(invalid="ignore", over="ignore"):
-        for top, band in bands(stack):
-            rows = slice(top, top + band.shape[1])
-            mean[rows] = of_band = band.mean(axis=0)
+    """Of replicates (n, H, W, 3), read by rows; what is not finite is named by the verdict."""
+    count, (height, *row) = len(stack), stack.shape[1:]
+    mean, variance = (np.full((height, *row), np.nan, np.float32) for _ in range(2))
+    rows = max(1, _CACHED // (count * math.prod(row)))
+
+    def read(top: int) -> None:
+        with np.errstate(invalid="ignore", over="ignore"):
+            band = stack[:, top : top + rows].astype(np.float64)
+            mean[top : top + rows] = of_band = band.mean(axis=0)
             if count > 1:
                 band -= of_band  # as `np.var` does, which would take the mean again
                 band *= band
-                variance[rows] = band.sum(axis=0) / (count - 1) / count
+                variance[top : top + rows] = band.sum(axis=0) / (count - 1) / count
+
+    with mapping(stack.size > _CACHED) as each:
+        list(each(read, range(0, height, rows)))
     return TermImage(mean, variance, samples=0, replicates=count, seconds=0.0)

@@ -6,16 +6,13 @@ pixels and over blocks of 2 and 8 px (`jackknife`). A mean tells a bias of a who
 is, a square what cancels in every mean.
 """
 
-import contextlib
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
 import attrs
 import numpy as np
-import scipy
 from threadpoolctl import threadpool_limits
 
 from termwise.reports.statistics.jackknife import Estimate, Gram, inner_products
@@ -33,7 +30,9 @@ from termwise.reports.statistics.replicates import (
     check_mask,
     labels,
     luminance_of,
+    mapping,
     quantities,
+    set_luminance,
     stacked,
 )
 from termwise.reports.statistics.verdict import DOMINATED, SHAPE_LIMITS
@@ -54,8 +53,12 @@ IMAGE = "image"
 BORDERS = ("top row", "bottom row", "left column", "right column")
 CELL = 4
 """Side of the blocks that tiles and windows are put together from."""
-_PART = 256
-"""Columns that are read at a time, whole tiles."""
+_PART = 32, 64
+"""Rows and columns that are read at a time, whole tiles: what is made of a part stays in a processor's cache."""
+_BUFFERED = 1024
+"""Numbers of NumPy's buffers, fewer than a part has pixels: into larger ones it copies what it could read in place."""
+_ALONE = 2**16
+"""Pixels of the largest image that is read by one thread."""
 
 
 @attrs.frozen(eq=False)
@@ -193,19 +196,17 @@ def measure(
     count, sizes = len(ours), (len(ours), len(reference))
     called = labels("ours", count, names) + labels("reference", len(reference), reference_names)
     sums = _Sums(sizes, ours.shape[1:3], objects, mask, float(np.hypot(*quantum)))
-    equality, invalid = Equality(sum(sizes)), Invalid(called, count, allow_negative)
+    invalid = Invalid(called, count, allow_negative)
     # A BLAS that divides products this small among threads takes twice as long; parts are divided here.
-    with threadpool_limits(1, "blas"), _mapping(ours.shape[2] > _PART) as in_order:
+    with threadpool_limits(1, "blas"), mapping(ours.shape[1] * ours.shape[2] > _ALONE) as in_order:
         for top, band in bands(ours, reference):
-            if mask is not None:
-                band[:, ~mask[top : top + band.shape[1]]] = 0.0
-            compared = in_order(equality.read, [band])
-            sums.read(top, invalid.replaced(top, band), in_order)
-            list(compared)
+            inside = None if mask is None else mask[top : top + band[0].shape[1]]
+            sums.read(top, invalid.replaced(top, band, inside), in_order)
 
-    warnings = equality.warnings(called, count, noiseless)
+    zero = sums.zero & ~invalid.replicates
+    warnings = Equality((ours, reference), mask, sums.regions[0], zero).warnings(called, noiseless)
     warnings += _few({"ours": count} if exact else {"ours": count, "the reference": len(reference)})
-    reference_is_zero = bool(equality.zero[count:].all())
+    reference_is_zero = bool(zero[count:].all())
     term_mean = sums.term_mean(reference_is_zero, scale)
     if not term_mean > 0:
         raise ValueError(f"reference: its mean luminance is {term_mean:.3g}; a relative bias needs one above 0")
@@ -219,7 +220,7 @@ def measure(
         exact=exact,
         height=ours.shape[1],
         width=ours.shape[2],
-        absent=bool(equality.zero.all()),
+        absent=bool(zero.all()),
         reference_is_zero=reference_is_zero,
         term_mean=term_mean,
         typical=float(typical[0]),
@@ -246,16 +247,6 @@ def measure(
     )
 
 
-@contextlib.contextmanager
-def _mapping(threaded: bool) -> Iterator[Callable[..., Iterable[Any]]]:
-    """`map`, or one that has a thread for each core; results come in order, so that no bit depends on which."""
-    if not threaded:
-        yield map
-        return
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        yield pool.map
-
-
 def _named(objects: np.ndarray, names: Sequence[str]) -> list[str]:
     return [str(names[i]) if i < len(names) else f"object {i}" for i in objects]
 
@@ -265,6 +256,19 @@ def _few(sides: dict[str, int]) -> list[str]:
     if not few:
         return []
     return [f"replicates: {' and '.join(few)}: fewer than {REPLICATES_WANTED}, intervals are wide and less sure"]
+
+
+@attrs.frozen(eq=False)
+class _Part:
+    """What a part of a band adds to the attributes of `_Sums` of the same names, of the objects that are in it."""
+
+    products: dict[int, np.ndarray]
+    reference_square: np.ndarray
+    brightest: float
+    zero: np.ndarray
+    objects: np.ndarray
+    regions: np.ndarray
+    areas: np.ndarray
 
 
 class _Sums:
@@ -282,6 +286,10 @@ class _Sums:
         Sums over the image and each object present, and their pixels.
     borders : (4, n, 3) float64, sums over the outermost rows and columns.
     brightest : the largest value.
+    zero : (n,) bool, replicates that are black everywhere.
+    cells : (3, n, ceil(H/4), ceil(W/4)) and (ceil(H/4), ceil(W/4)) float64, sums over cells, and their pixels.
+    cumulants : (2, 2, 4, ceil(H/8), ceil(W/8)) float64
+        Of each side the second and third cumulant of a pixel over the replicates, summed over tiles of 8 px.
     """
 
     def __init__(
@@ -297,70 +305,89 @@ class _Sums:
         self.sizes, self.shape, self.quantum = sizes, shape, quantum
         self.objects, self.objects_present = objects, present[present >= 0]
         self.mask = np.ones(shape, dtype=bool) if mask is None else mask
+        inside = self.mask.astype(np.float64)
+        areas = {side: block_sums(inside, side) for side in (*SHAPE_LIMITS, CELL) if side > 1}
         self.products = {side: np.zeros((4, everyone, everyone)) for side in SHAPE_LIMITS}
         self.reference_square = np.zeros(4)
         self.regions = np.zeros((1 + len(self.objects_present), everyone, 3))
         self.areas = np.zeros(1 + len(self.objects_present))
+        self.areas[0] = inside.sum()
         self.borders = np.zeros((len(BORDERS), everyone, 3))
-        self.brightest = 0.0
-        self._rows: list[np.ndarray] = []
-        self._areas: list[np.ndarray] = []
-        self._cumulants: list[np.ndarray] = []
+        self.brightest, self.zero = 0.0, np.ones(everyone, dtype=bool)
+        self.cells = np.empty((3, everyone, *areas[CELL].shape)), areas[CELL]
+        self.cumulants = np.empty((2, 2, 4, *areas[8].shape))
+        self._members = slice(sizes[0]), slice(sizes[0], None)
+        self._root_areas = {side: np.sqrt(np.maximum(areas[side], 1)) for side in SHAPE_LIMITS if side > 1}
 
-    def read(self, top: int, band: np.ndarray, in_order: Callable[..., Iterable[Any]]) -> None:
-        """Add a band (n, rows, W, 3) of finite values that begins at row `top`; `in_order` is `map` or like it."""
-        inside = self.mask[top : top + band.shape[1]].astype(np.float64)
-        self.brightest = max(self.brightest, float(band.max()))
-        last = top + band.shape[1] == self.shape[0]
-        lines = band[:, 0] * (top == 0), band[:, -1] * last, band[:, :, 0], band[:, :, -1]
-        self.borders += [line.sum(axis=1) for line in lines]
-        parts = [slice(left, left + _PART) for left in range(0, band.shape[2], _PART)]
-        read = in_order(self._of_part, [inside[:, part] for part in parts], [band[:, :, part] for part in parts])
-        cells, of_pixels, squares, products = zip(*read, strict=True)
-        for square, of_sides in zip(squares, products, strict=True):
-            self.reference_square += square
-            for side, product in of_sides.items():
-                self.products[side] += product
-        self._rows.append(np.concatenate(cells, axis=-1))
-        self._cumulants.append(np.concatenate(of_pixels, axis=-1))
-        self._areas.append(block_sums(inside, CELL))
-        self.regions[0] += self._rows[-1].sum(axis=(2, 3)).T
-        self.areas[0] += inside.sum()
-        if self.objects is not None:
-            self._read_objects(self.objects[top : top + band.shape[1]], band)
+    def read(self, top: int, sides: list[np.ndarray], in_order: Callable[..., Iterable[Any]]) -> None:
+        """Add a band of finite values, (K, rows, W, 3) and (R, rows, W, 3), that begins at row `top`.
 
-    def _of_part(
-        self, inside: np.ndarray, band: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[int, np.ndarray]]:
-        """Of a part that fits a cache: sums over cells (3, n, ...), cumulants of its pixels (2, 2, 4, ...).
-
-        And what it adds to `reference_square` and to `products`.
+        `in_order` is `map` or like it.
         """
-        values = quantities(np.moveaxis(band, -1, 0))
-        reference = values[:, self.sizes[0] :].reshape(4, -1)
+        bottom = top + sides[0].shape[1]
+        for border, line, there in (
+            (0, np.s_[:, 0], top == 0),
+            (1, np.s_[:, -1], bottom == self.shape[0]),
+            (2, np.s_[:, :, 0], True),
+            (3, np.s_[:, :, -1], True),
+        ):
+            if there:
+                self.borders[border] += np.concatenate([side[line].sum(axis=1, dtype=np.float64) for side in sides])
+
+        def part_at(corner: tuple[int, int]) -> _Part:
+            with np.errstate():  # whose end gives the size back
+                np.setbufsize(_BUFFERED)
+                return self._of_part(top, sides, corner)
+
+        corners = itertools.product(range(top, bottom, _PART[0]), range(0, self.shape[1], _PART[1]))
+        for part in in_order(part_at, corners):
+            for side, product in part.products.items():
+                self.products[side] += product
+            self.reference_square += part.reference_square
+            self.brightest = max(self.brightest, part.brightest)
+            self.zero &= part.zero
+            self.regions[part.objects] += part.regions
+            self.areas[part.objects] += part.areas
+        self.regions[0] += self.cells[0][:, :, _blocks(top, bottom, CELL)].sum(axis=(2, 3)).T
+
+    def _of_part(self, first: int, sides: list[np.ndarray], corner: tuple[int, int]) -> _Part:
+        """Read a part of a band from its corner on; cells and cumulants are kept at once, sums come in order."""
+        top, left = corner
+        bottom, right = min(top + _PART[0], first + sides[0].shape[1]), min(left + _PART[1], self.shape[1])
+        at = {side: (..., _blocks(top, bottom, side), _blocks(left, right, side)) for side in (*SHAPE_LIMITS, CELL)}
+        values = np.empty((len(QUANTITIES), sum(self.sizes), bottom - top, right - left))
+        for members, side in zip(self._members, sides, strict=True):
+            values[1:, members] = np.moveaxis(side[:, top - first : bottom - first, left:right], -1, 0)
+        set_luminance(values)
+        channels = values[1:]
+        objects = self._of_objects(channels, at[1])
+        brightest, zero = float(channels.max()), np.logical_not(np.any(channels, axis=(0, 2, 3)))
+        reference = values[:, self._members[1]].reshape(len(QUANTITIES), -1)
         square = np.einsum("ij,ij->i", reference, reference)
+
+        pairs = block_sums(channels, 2)
+        cells = block_sums(pairs, CELL // 2)
+        self.cells[0][at[CELL]] = cells
         products = {}
-        blocks = {1: values, 2: block_sums(values, 2)}
-        cells = block_sums(blocks[2], CELL // 2)
-        blocks[TILE_SIDES[0]] = block_sums(cells, TILE_SIDES[0] // CELL)
-        for side, each in blocks.items():
+        for side, each in ((1, values), (2, quantities(pairs)), (8, quantities(block_sums(cells, 8 // CELL)))):
             each -= each.mean(axis=1, keepdims=True)
             if side > 1:
-                each /= np.sqrt(np.maximum(block_sums(inside, side), 1))
+                each /= self._root_areas[side][at[side]]
             products[side] = np.array([inner_products(quantity) for quantity in each])
-        of_pixels = [cumulants(each, axis=1) for each in (values[:, : self.sizes[0]], values[:, self.sizes[0] :])]
-        return cells[1:], block_sums(np.array(of_pixels), TILE_SIDES[0]), square, products
+        for members, of_side in zip(self._members, self.cumulants, strict=True):
+            of_side[at[8]] = block_sums(cumulants(values[:, members], axis=1), 8)
+        return _Part(products, square, brightest, zero, *objects)
 
-    def _read_objects(self, objects: np.ndarray, band: np.ndarray) -> None:
-        at = np.asarray(objects).ravel()
-        inside = np.flatnonzero(at >= 0)
-        member = scipy.sparse.csr_array(
-            (np.ones(len(inside)), (np.searchsorted(self.objects_present, at[inside]), inside)),
-            (len(self.objects_present), len(at)),
-        )
-        pixels = np.ascontiguousarray(band.transpose(1, 2, 0, 3)).reshape(len(at), -1)
-        self.regions[1:] += (member @ pixels).reshape(-1, len(band), 3)
-        self.areas[1:] += member.sum(axis=1)
+    def _of_objects(self, channels: np.ndarray, at: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Regions of the objects that are in a part, sums of each (objects, n, 3), and their pixels."""
+        if self.objects is None:
+            return np.empty(0, int), np.empty((0, channels.shape[1], 3)), np.empty(0)
+        indices = self.objects[at].ravel()
+        found, counts = np.unique(indices, return_counts=True)
+        pixels = channels.reshape(*channels.shape[:2], -1)[..., np.argsort(indices, kind="stable")]
+        sums = np.add.reduceat(pixels, np.cumsum(counts) - counts, axis=-1).T
+        known = found >= 0
+        return 1 + np.searchsorted(self.objects_present, found[known]), sums[known], counts[known]
 
     @property
     def pixels(self) -> float:
@@ -407,30 +434,22 @@ class _Sums:
         """The same over windows of two cells' side, which overlap by one: of a large image the largest array."""
 
         def pairs(values: np.ndarray) -> np.ndarray:
-            for axis in (-2, -1):
-                if (length := values.shape[axis]) > 1:
-                    values = np.take(values, range(length - 1), axis) + np.take(values, range(1, length), axis)
-            return values
+            if values.shape[-2] > 1:
+                values = values[..., :-1, :] + values[..., 1:, :]
+            return values[..., :-1] + values[..., 1:] if values.shape[-1] > 1 else values
 
         cells, areas = self.cells
         areas = np.maximum(pairs(areas), 1)
         values = np.empty((len(QUANTITIES), cells.shape[1], *areas.shape))
         for channel, of_cells in zip(values[1:], cells, strict=True):
             np.divide(pairs(of_cells), areas, out=channel)
-        values[0] = luminance_of(np.moveaxis(values[1:], 0, -1))
+        set_luminance(values)
         return np.moveaxis(values, 1, 0), areas
 
     def border_means(self) -> tuple[np.ndarray, np.ndarray]:
         """Means (n, 4, borders) over the outermost rows and columns, and their pixels."""
         lines = self.mask[0], self.mask[-1], self.mask[:, 0], self.mask[:, -1]
         return _means(self.borders.transpose(2, 1, 0), np.array([line.sum() for line in lines], dtype=np.float64))
-
-    @cached_property
-    def cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums (3, n, rows, columns) and areas of cells. Asked for once all bands are read."""
-        found = np.concatenate(self._rows, axis=2), np.concatenate(self._areas)
-        self._rows.clear()
-        return found
 
     def events(self, typical: np.ndarray) -> np.ndarray:
         """(4,): flux of the rare, bright events that either side shows in each quantity, see `welch`.
@@ -444,10 +463,9 @@ class _Sums:
         for means, areas in (smallest, largest, regions):
             radiance = np.maximum(means.mean(axis=0), 0.1 * np.reshape(typical, (4, *(1,) * areas.ndim)))
             fluxes.append(((means * areas / radiance).reshape(*means.shape[:2], -1), radiance))
-        of_pixels = np.concatenate(self._cumulants, axis=-2)
         found = []
         for side, part in enumerate((slice(self.sizes[0]), slice(self.sizes[0], None))):
-            second, third = of_pixels[side]
+            second, third = self.cumulants[side]
             radiance = fluxes[0][1]
             relative = np.array([second / radiance**2, third / radiance**3]).reshape(2, 4, -1)
             found.append(event_size(relative, self.sizes[side]))
@@ -521,11 +539,17 @@ def _means(sums: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.moveaxis(quantities(sums / areas), 1, 0), areas
 
 
+def _blocks(start: int, stop: int, side: int) -> slice:
+    """The blocks of so many pixels that hold those of a range, which begins with a block."""
+    return slice(start // side, -(-stop // side))
+
+
 def block_sums(values: np.ndarray, side: int) -> np.ndarray:
     """Sums over blocks of the last two axes; border blocks may be smaller."""
     for axis in (-2, -1):
         parts = [values[(..., slice(k, None, side), *(slice(None),) * (-1 - axis))] for k in range(side)]
-        values = parts[0].copy()
-        for part in parts[1:]:
+        even = side > 1 and parts[1].shape == parts[0].shape
+        values = parts[0] + parts[1] if even else parts[0].copy()
+        for part in parts[1 + even :]:
             values[(..., slice(part.shape[axis]), *(slice(None),) * (-1 - axis))] += part
     return values

@@ -133,7 +133,8 @@ def gram(*groups: np.ndarray) -> Gram:
     sizes = tuple(len(group) for group in groups)
     matrix = np.zeros((sum(sizes), sum(sizes)))
     for _, band in bands(*groups):
-        matrix += inner_products(band - band.mean(axis=0))
+        images = np.concatenate(band, dtype=np.float64)
+        matrix += inner_products(images - images.mean(axis=0))
     return Gram(matrix / np.prod(groups[0].shape[1:]), sizes)
 
 

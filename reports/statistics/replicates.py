@@ -4,8 +4,11 @@ Replicates `I_1 … I_K` of ours and `R_1 … R_R` of the reference have indepen
 Pixels of one image may be correlated, replicates are not: all that is said of them rests on this.
 """
 
-import hashlib
-from collections.abc import Iterator, Sequence
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import attrs
 import numpy as np
@@ -78,19 +81,24 @@ def labels(side: str, count: int, names: Sequence[str]) -> list[str]:
     return [names[k] if k < len(names) else f"{side}[{k}]" for k in range(count)]
 
 
-def bands(*groups: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """First row and float64 pixels (replicates of all groups, rows, W, 3), a copy, of bands of whole 32-px tiles."""
+def bands(*groups: np.ndarray) -> Iterator[tuple[int, list[np.ndarray]]]:
+    """First row and pixels (n, rows, W, 3) of each group, views, of bands of whole 32-px tiles."""
     height, width = groups[0].shape[1:3]
     tallest = TILE_SIDES[-1]
     row = sum(len(group) for group in groups) * width * 3 * 8
     rows = max(1, BAND_BYTES // (row * tallest)) * tallest
     for top in range(0, height, rows):
-        band = np.empty((sum(map(len, groups)), min(rows, height - top), width, 3))
-        start = 0
-        for group in groups:
-            band[start : start + len(group)] = group[:, top : top + rows]
-            start += len(group)
-        yield top, band
+        yield top, [group[:, top : top + rows] for group in groups]
+
+
+@contextlib.contextmanager
+def mapping(threaded: bool) -> Iterator[Callable[..., Iterable[Any]]]:
+    """`map`, or one that has a thread for each core; results come in order, so that no bit depends on which."""
+    if not threaded:
+        yield map
+        return
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield pool.map
 
 
 def luminance_of(rgb: np.ndarray) -> np.ndarray:
@@ -102,8 +110,16 @@ def quantities(channels: np.ndarray) -> np.ndarray:
     """(4, ...): luminance, then the channels, which are the first axis of (3, ...)."""
     values = np.empty((4, *channels.shape[1:]))
     values[1:] = channels
-    values[0] = luminance_of(np.moveaxis(values[1:], 0, -1))
+    set_luminance(values)
     return values
+
+
+def set_luminance(values: np.ndarray) -> None:
+    """Luminance, `luminance_of`, as the first of (4, ...), of the channels that are the others."""
+    luminance, red, *others = (values[k, ...] for k in range(4))
+    np.multiply(red, LUMINANCE[0], out=luminance)
+    for weight, channel in zip(LUMINANCE[1:], others, strict=True):
+        luminance += weight * channel
 
 
 @attrs.frozen
@@ -134,33 +150,44 @@ class Invalid:
     ----------
     non_finite, negative : values that are NaN, infinite (or beyond float32), or negative.
     first : the first of each band.
+    replicates : (n,) bool, those that hold what is not finite.
     """
 
     def __init__(self, labels: Sequence[str], count: int, allow_negative: bool = False) -> None:
         self.labels, self.count, self.allow_negative = labels, count, allow_negative
         self.non_finite = self.negative = 0
         self.first: list[InvalidPixel] = []
+        self.replicates = np.zeros(len(labels), dtype=bool)
 
-    def replaced(self, top: int, band: np.ndarray) -> np.ndarray:
-        """The band with the reference's mean for what is not finite; ValueError for an invalid reference."""
-        least = -np.finfo(np.float32).max if self.allow_negative else 0.0
-        if band.min() >= least and band.max() <= np.finfo(np.float32).max:  # false for NaN
-            return band
-        broken = ~(np.abs(band) <= np.finfo(np.float32).max)  # so written, it holds for NaN too
-        wrong = broken if self.allow_negative else broken | (band < 0)
-        if not wrong.any():
-            return band
-        ours, reference = band[: self.count], band[self.count :]
-        if wrong[self.count :].any():
-            first = _pixels(reference, wrong[self.count :], top, self.labels[self.count :])[0]
+    def replaced(self, top: int, sides: list[np.ndarray], mask: np.ndarray | None = None) -> list[np.ndarray]:
+        """The two sides of a band, 0 outside a mask (rows, W), with the reference's mean for what is not finite.
+
+        ValueError for an invalid reference. Where all is valid the sides are those given, not copies.
+        """
+        least, most = -np.finfo(np.float32).max if self.allow_negative else 0.0, np.finfo(np.float32).max
+        if mask is not None:
+            sides = [np.where(mask[..., None], side, 0.0) for side in sides]
+        if all(side.min() >= least and side.max() <= most for side in sides):  # false for NaN
+            return sides
+        ours, reference = (side.astype(np.float64) for side in sides)
+        broken, wrong = self._wrong(ours)
+        _, wrong_there = self._wrong(reference)
+        if wrong_there.any():
+            first = _pixels(reference, wrong_there, top, self.labels[self.count :])[0]
             allowed = (
                 "finite" if self.allow_negative else "finite and ≥ 0 (a filter with negative lobes: --allow-negative)"
             )
             raise ValueError(f"{first.name}: {first}; a reference is {allowed}")
-        self.first += _pixels(ours, wrong[: self.count], top, self.labels)
+        self.first += _pixels(ours, wrong, top, self.labels)
         self.non_finite += int(np.count_nonzero(broken))
+        self.replicates[: self.count] |= broken.any(axis=(1, 2, 3))
         self.negative += int(np.count_nonzero(wrong & ~broken))
-        return np.where(broken, reference.mean(axis=0), band)
+        return [np.where(broken, reference.mean(axis=0), ours), reference]
+
+    def _wrong(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which are not finite, and those with the negative ones where they are not allowed."""
+        broken = ~(np.abs(values) <= np.finfo(np.float32).max)  # so written, it holds for NaN too
+        return broken, broken if self.allow_negative else broken | (values < 0)
 
 
 def _pixels(band: np.ndarray, wrong: np.ndarray, top: int, names: Sequence[str]) -> list[InvalidPixel]:
@@ -173,34 +200,64 @@ def _pixels(band: np.ndarray, wrong: np.ndarray, top: int, names: Sequence[str])
 
 
 class Equality:
-    """Finds replicates that are the same image, which independent seeds do not give."""
+    """Finds replicates that are the same image, which independent seeds do not give.
 
-    def __init__(self, replicates: int) -> None:
-        self.digests = [hashlib.sha256() for _ in range(replicates)]  # processors have instructions for it
-        self.differing = np.zeros(replicates - 1)
-        self.zero = np.ones(replicates, dtype=bool)
+    Images whose sums differ are different images; few are left to be compared pixel by pixel.
 
-    def read(self, band: np.ndarray) -> None:
-        """Take in a band of all replicates."""
-        for digest, image in zip(self.digests, band, strict=True):
-            digest.update(image)
-        # By the bits, as the digests compare: NaN equals itself here.
-        bits = band.view(np.uint64)
-        red, green, blue = np.moveaxis(bits[1:] != bits[:-1], -1, 0)
-        self.differing += np.count_nonzero(red | green | blue, axis=(1, 2))
-        self.zero &= ~band.reshape(len(band), -1).any(axis=1)
+    Parameters
+    ----------
+    sides : replicates of ours and of the reference, (K, H, W, 3) and (R, H, W, 3).
+    mask : (H, W) bool, pixels that are compared; None for all.
+    sums : (K + R, 3) of each replicate, those of equal images added up alike.
+    zero : (K + R,) bool, black everywhere.
+    """
 
-    def warnings(self, labels: Sequence[str], count: int, noiseless: bool) -> list[str]:
-        """What is odd but allowed; ValueError for equal seeds. The first `count` images are ours.
+    def __init__(
+        self, sides: Sequence[np.ndarray], mask: np.ndarray | None, sums: np.ndarray, zero: np.ndarray
+    ) -> None:
+        self._sides, self._mask, self._sums, self._zero = sides, mask, sums, zero
+        self.first: list[int] = []
+        """By replicate, the first one that is the same image."""
+        for k in range(len(sums)):
+            earlier = (j for j in dict.fromkeys(self.first) if self._same(j, k))
+            self.first.append(next(earlier, k))
+
+    def _same(self, j: int, k: int) -> bool:
+        if self._zero[j] and self._zero[k]:
+            return True
+        return self._sums[j].tobytes() == self._sums[k].tobytes() and not any(self._differing(j, k))
+
+    def _differing(self, j: int, k: int) -> Iterator[int]:
+        """Pixels in which two replicates differ, by bands of rows, in bits: NaN equals itself here."""
+        pair = [self._image(j), self._image(k)]
+        single = all(image.dtype == np.float32 for image in pair)
+        for top, band in bands(*(image[None] for image in pair)):
+            one, other = (np.ascontiguousarray(each[0], np.float32 if single else np.float64) for each in band)
+            bits = np.uint32 if single else np.uint64
+            differ = (one.view(bits) != other.view(bits)).any(axis=-1)
+            if self._mask is not None:
+                differ &= self._mask[top : top + len(differ)]
+            yield int(np.count_nonzero(differ))
+
+    def _image(self, k: int) -> np.ndarray:
+        ours, reference = self._sides
+        return ours[k] if k < len(ours) else reference[k - len(ours)]
+
+    def _vary(self) -> bool:
+        """Whether some replicate differs from the next in many pixels."""
+        count, everyone = len(self._sides[0]), len(self.first)
+        pairs = (k for k in range(everyone - 1) if k != count - 1)
+        return any(sum(self._differing(k, k + 1)) >= DISTINCT_PIXELS for k in pairs)
+
+    def warnings(self, labels: Sequence[str], noiseless: bool) -> list[str]:
+        """What is odd but allowed; ValueError for equal seeds.
 
         Without `noiseless`, a side that never varies has equal seeds, too.
         """
-        digests = [digest.digest() for digest in self.digests]
-        sides = {"ours": range(count), "the reference": range(count, len(digests))}
-        constant = {side: len({digests[k] for k in members}) == 1 for side, members in sides.items()}
-        same = [
-            side for side, members in sides.items() if constant[side] and len(members) > 1 and not self.zero[members[0]]
-        ]
+        count, first, zero = len(self._sides[0]), self.first, self._zero
+        sides = {"ours": range(count), "the reference": range(count, len(first))}
+        constant = {side: len({first[k] for k in members}) == 1 for side, members in sides.items()}
+        same = [side for side, members in sides.items() if constant[side] and len(members) > 1 and not zero[members[0]]]
         if same and not noiseless:
             hints = {
                 "ours": "a renderer without noise needs noiseless (--noiseless)",
@@ -208,18 +265,16 @@ class Equality:
             }
             raise ValueError(f"all replicates of {same[0]} are the same image: equal seeds? {hints[same[0]]}")
         warnings = [f"all replicates of {side} are the same image: taken as free of noise" for side in same]
-        first: dict[bytes, int] = {}
-        typical = np.delete(self.differing, count - 1).max()
-        for k, digest in enumerate(digests):
-            if (other := first.setdefault(digest, k)) == k:
+        for k, other in enumerate(first):
+            if other == k:
                 continue
             side, other_side = ("ours" if i < count else "the reference" for i in (k, other))
             if constant[side] and constant[other_side]:
                 continue
-            if self.zero[k]:  # of a sparse estimator, whatever the seed
+            if zero[k]:  # of a sparse estimator, whatever the seed
                 continue
             text = f"{labels[other]} and {labels[k]} are the same image"
-            if typical >= DISTINCT_PIXELS:
+            if self._vary():
                 raise ValueError(f"{text}: equal seeds? Replicates must be independent")
             warnings.append(f"{text}; possible by chance, since few pixels vary")
         return warnings
