@@ -9,7 +9,7 @@ import contextlib
 import errno
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +173,7 @@ def _images(path: Path, headers: list[dict[str, Any]], layers: list[_Layer]) -> 
     return found
 
 
-def _stored(path: Path, headers: list[dict[str, Any]], layers: list[_Layer]) -> list[list[np.ndarray]]:
+def _stored(path: Path, headers: list[dict[str, Any]], layers: list[_Layer]) -> list[Sequence[np.ndarray]]:
     """The pixels of each channel of some layers, (H, W) of the data window in the file's own type."""
     for channel in (each for layer in layers for each in layer.channels):
         if (channel.xSampling, channel.ySampling) != (1, 1):
@@ -189,23 +189,30 @@ def _stored(path: Path, headers: list[dict[str, Any]], layers: list[_Layer]) -> 
         raise ValueError(f"{path}: is damaged, {why}: write or copy it again") from None
     sizes = [_size(headers[layer.part], "dataWindow") for layer in layers]
     return [
-        [plane.reshape(height, width) for plane in planes]
+        planes if isinstance(planes, np.ndarray) else [plane.reshape(height, width) for plane in planes]
         for (width, height), planes in zip(sizes, stored, strict=True)
     ]
 
 
-def _planes_of_one(path: Path, layers: list[_Layer]) -> list[list[np.ndarray]]:
-    """The pixels of each channel of some layers of a file of one part: it may hold a hundred others."""
+def _planes_of_one(path: Path, layers: list[_Layer]) -> Sequence[Sequence[np.ndarray]]:
+    """The pixels of each channel of some layers of a file of one part: it may hold a hundred others.
+
+    Where R, G and B of one type are all that it holds, they are views (3, H, W) of one array (H, W, 3).
+    """
     with contextlib.closing(OpenEXR.InputFile(str(path))) as file:
         there = file.header()["channels"]
         types = [[_TYPES[there[name].type.v] for name in _names(layer)] for layer in layers]
+        if len(layers) == len(set(types[0])) == 1 and _names(layers[0]) == ["R", "G", "B"] and len(there) == 3:
+            with OpenEXR.File(str(path)) as whole:
+                if whole.parts:  # else it is damaged, and below it is said how
+                    return [np.moveaxis(whole.parts[0].channels["RGB"].pixels, -1, 0)]
         return [
             [np.frombuffer(data, dtype) for data, dtype in zip(file.channels(_names(layer)), dtypes, strict=True)]
             for layer, dtypes in zip(layers, types, strict=True)
         ]
 
 
-def _planes_of_several(path: Path, layers: list[_Layer]) -> list[list[np.ndarray]]:
+def _planes_of_several(path: Path, layers: list[_Layer]) -> Sequence[Sequence[np.ndarray]]:
     """The same of several parts, which can be read at once only; one that cannot be decoded would be left out."""
     with OpenEXR.File(str(path), separate_channels=True) as file:
         parts = {part.part_index: part.channels for part in file.parts}
@@ -216,16 +223,16 @@ def _names(layer: _Layer) -> list[str]:
     return [channel.name for channel in layer.channels]
 
 
-def _image(path: Path, header: dict[str, Any], layer: _Layer, planes: list[np.ndarray]) -> Image:
+def _image(path: Path, header: dict[str, Any], layer: _Layer, planes: Sequence[np.ndarray]) -> Image:
     """Planes of the data window as Rec. 709 in the display window."""
     chromaticities = tuple(header.get("chromaticities", REC709))
     colors = GREY
-    inside = np.empty((*planes[0].shape, 3), np.float32)
-    if layer.kind == ("y",):
-        inside[:] = planes[0][..., None]
+    if isinstance(planes, np.ndarray):  # of one array, which needs no copy
+        inside = np.ascontiguousarray(np.moveaxis(planes, 0, -1), np.float32)
     else:
-        for channel, plane in enumerate(planes):
-            inside[..., channel] = plane
+        inside = np.empty((*planes[0].shape, 3), np.float32)
+        for channel in range(3):
+            inside[..., channel] = planes[channel % len(planes)]
     if layer.kind == ("y", "ry", "by"):
         inside = _of_chroma(inside, luminance_weights(chromaticities))
     if layer.kind != ("y",):
@@ -268,7 +275,7 @@ def _in_display_window(
     return pixels, window, data, tuple(note for note in notes if note)
 
 
-def _quantum(header: dict[str, Any], planes: list[np.ndarray]) -> tuple[float, tuple[str, ...]]:
+def _quantum(header: dict[str, Any], planes: Sequence[np.ndarray]) -> tuple[float, tuple[str, ...]]:
     """How coarsely the values were rounded, relative, and the note where that can matter."""
     compression, halves = header["compression"], any(plane.dtype == np.float16 for plane in planes)
     if compression in _LOSSY or (halves and compression in _LOSSY_OF_HALF):
