@@ -8,13 +8,12 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import xarray
 
 from termwise.reports.judging.judge import Judgement, Measured
 from termwise.reports.machine import versions
 from termwise.reports.pages import pictures
 from termwise.reports.results.exr import write_exr
-from termwise.reports.results.netcdf import write_netcdf
+from termwise.reports.results.netcdf import write_variables
 from termwise.reports.results.schema import SCHEMA, write
 from termwise.reports.statistics import replicates, tiles
 
@@ -40,28 +39,25 @@ def keep(folder: Path, compared: Judgement | Measured, *, exposure: float | None
     if ours is None or truth is None:
         raise ValueError("the images of this comparison were not kept: allowed is what `judge` returns")
     shown = exposure or pictures.shown_at(truth.mean)
-    dataset = xarray.Dataset(
-        {
-            name: (("y", "x", "channel"), values.astype(np.float32))
-            for name, values in (
-                ("image", ours.mean),
-                ("image_variance", ours.variance),
-                ("reference", truth.mean),
-                ("reference_variance", truth.variance),
-            )
-        },
-        {"channel": list(replicates.CHANNELS)},
-        {"exposure": shown, "units": "linear Rec. 709 radiance"},
-    )
-    if compared.maps:
-        dataset = dataset.assign(xarray.Dataset(tiles.variables([compared.maps])).isel(cell=0))
+    variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
+        name: (("y", "x", "channel"), values.astype(np.float32, copy=False))
+        for name, values in (
+            ("image", ours.mean),
+            ("image_variance", ours.variance),
+            ("reference", truth.mean),
+            ("reference_variance", truth.variance),
+        )
+    }
+    variables["channel"] = ("channel",), np.array(replicates.CHANNELS, object)
+    for name, (dimensions, maps) in tiles.variables([compared.maps]).items():
+        variables[name] = dimensions[1:], maps[0]  # of the one cell
     # A page of an earlier run must not stand beside new results, should this one end here.
     for name in ("index.html", "results.json"):
         (folder / name).unlink(missing_ok=True)
     with np.errstate(invalid="ignore"):
         parts = {"ours": ours.mean, "reference": truth.mean, "error": ours.mean - truth.mean}
     write_exr(folder / "images.exr", parts, {"software": "termwise", "command": command})
-    write_netcdf(folder / "results.nc", {"/": dataset})
+    write_variables(folder / "results.nc", variables, {"exposure": shown, "units": "linear Rec. 709 radiance"})
 
 
 def publish(folder: Path, judgement: Judgement, *, command: str = "", root: str = "") -> Path:

@@ -2,14 +2,13 @@
 
 import re
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import jinja2
 import numpy as np
 import plotly.offline
-import xarray
 from markupsafe import Markup, escape
 
 from termwise.reports.pages import charts, digits, pictures
@@ -34,13 +33,18 @@ WORDS = {
 """Each verdict's colour class and sign, the gravest first; the word itself always stands beside them."""
 
 
-def p_maps(dataset: xarray.Dataset, name: str, picture: Callable[[str, np.ndarray], str]) -> dict[int, dict[str, Any]]:
-    """Addresses and sizes of the maps of one cell's tiles by their side, drawn by `picture`; none for merged sizes."""
+def p_maps(
+    cell: Mapping[Any, Any], size: tuple[int, int], name: str, picture: Callable[[str, np.ndarray], str]
+) -> dict[int, dict[str, Any]]:
+    """Addresses and sizes of the maps of a cell's tiles by their side, drawn by `picture`; none for merged sizes.
+
+    `cell` has the variables of `results.nc` by name, `size` is the image's height and width.
+    """
     drawn = {}
     for side in TILE_SIDES:
-        maps = {each: dataset[f"tile_{each}_{side}"].values for each in tiles.MAPS if f"tile_{each}_{side}" in dataset}
+        names = {each: f"tile_{each}_{side}" for each in tiles.MAPS}
+        maps = {each: np.asarray(cell[variable]) for each, variable in names.items() if variable in cell}
         if maps and np.isfinite(maps["p"]).any():
-            size = dataset.sizes["y"], dataset.sizes["x"]
             pixels = pictures.p_map(**maps, side=side, size=size)
             address = picture(f"{name} p-map {side}", pixels)
             drawn[side] = {"address": address, "height": pixels.shape[0], "width": pixels.shape[1]}

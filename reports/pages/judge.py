@@ -3,20 +3,26 @@
 import base64
 import io
 import json
+import os
 import shutil
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import attrs
+import h5py
 import numpy as np
-import xarray
 from markupsafe import Markup, escape
 from PIL import Image
 
 from termwise.reports.pages import digits, pictures, viewer
 from termwise.reports.pages.environment import WORDS, copy_static, p_maps, page_environment, render_page
 from termwise.reports.statistics import verdict
+
+if TYPE_CHECKING:
+    import xarray
 
 NOTEBOOK_SIDE = 256
 """Pixels of the longer side of a picture in a notebook, at most."""
@@ -41,45 +47,28 @@ def write(folder: Path, *, root: str = "") -> Path:
     FileNotFoundError : if one of the two files is missing.
     """
     results = json.loads((folder / "results.json").read_text("utf-8"))
-    with xarray.open_dataset(folder / "results.nc", engine="h5netcdf") as opened:
-        dataset = opened.load()
+    with h5py.File(folder / "results.nc") as kept:
+        names = [name for name in map(str, kept) if name in ("image", "reference") or name.startswith("tile_")]
+        read = {name: np.asarray(kept[name]) for name in names}
+        exposure = float(np.asarray(kept.attrs["exposure"]).item())
     shutil.rmtree(folder / "pictures", ignore_errors=True)
     viewer.clear(folder)
+    written: list[Future[None]] = []
 
-    def picture(name: str, pixels: np.ndarray) -> str:
+    def picture(name: str, draw: Callable[..., np.ndarray], *arguments: Any, **options: Any) -> str:
+        """The address of what `draw` makes of the rest, once a thread has: of large images that takes seconds."""
         path = Path("pictures") / f"{name.replace(' ', '-')}.png"
-        pictures.save(folder / path, pixels)
+        written.append(pool.submit(lambda: pictures.save(folder / path, draw(*arguments, **options))))
         return quote(path.as_posix())
 
-    exposure = float(dataset.attrs["exposure"])
-    ours, reference = dataset["image"].values, dataset["reference"].values
-    error, mean = pictures.relative_error(ours, reference)
-    scale = pictures.error_scale([error])
-    shown = pictures.display(ours, exposure=exposure)
-    channels = pictures.channel_errors(ours, reference, mean)
-    end = pictures.error_scale([channels])
-    drawn = {
-        "ours": picture("ours", shown),
-        "reference": picture("reference", pictures.display(reference, exposure=exposure)),
-        "error": picture("error", pictures.diverge(error, scale=scale)),
-        "channels": [
-            (name, picture(f"error {name}", pictures.diverge(channels[..., index], scale=end)))
-            for index, name in enumerate(("red", "green", "blue"))
-            if np.ptp(channels, axis=2).any()  # one picture says all of a grey image
-        ],
-        "end": end,
-        "maps": p_maps(dataset, "tiles", picture),
-        "scale": scale,
-        "mean": mean,
-        "height": ours.shape[0],
-        "width": ours.shape[1],
-    }
-    picture("thumbnail", _reduced(shown, THUMBNAIL_SIDE))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        drawn = _drawn(picture, read, exposure)
+    for each in written:
+        each.result()  # or what went wrong
     row = results["verdict"]
     viewed = None
-    if row["verdict"] != "ABSENT" and ours[..., 0].size <= VIEWED_PIXELS:
-        written = viewer.write_data(folder, _Pair(dataset, row, results["settings"]))
-        viewed = None if written is None else written | {"against": {"own": "reference"}}
+    if row["verdict"] != "ABSENT" and drawn["height"] * drawn["width"] <= VIEWED_PIXELS:
+        viewed = _viewed(folder, row, results["settings"])
     index = folder / "index.html"
     render_page(
         page_environment(),
@@ -100,6 +89,38 @@ def write(folder: Path, *, root: str = "") -> Path:
     if not root:
         copy_static(folder)
     return index
+
+
+def _drawn(picture: Callable[..., str], read: dict[str, np.ndarray], exposure: float) -> dict[str, Any]:
+    """What the page shows of the images and maps: the addresses of pictures, and their scales."""
+    ours, reference = read["image"], read["reference"]
+    drawn: dict[str, Any] = {"height": ours.shape[0], "width": ours.shape[1]}
+    drawn["reference"] = picture("reference", pictures.display, reference, exposure=exposure)
+    shown = pictures.display(ours, exposure=exposure)
+    drawn["ours"] = picture("ours", np.asarray, shown)
+    picture("thumbnail", _reduced, shown, THUMBNAIL_SIDE)
+    error, drawn["mean"] = pictures.relative_error(ours, reference)
+    drawn["scale"] = pictures.error_scale([error])
+    drawn["error"] = picture("error", pictures.diverge, error, scale=drawn["scale"])
+    channels = pictures.channel_errors(ours, reference, drawn["mean"])
+    drawn["end"] = pictures.error_scale([channels])
+    colours = ("red", "green", "blue") if (channels != channels[..., :1]).any() else ()  # one picture says all of grey
+    drawn["channels"] = [
+        (name, picture(f"error {name}", pictures.diverge, channels[..., index], scale=drawn["end"]))
+        for index, name in enumerate(colours)
+    ]
+    size = ours.shape[0], ours.shape[1]
+    drawn["maps"] = p_maps(read, size, "tiles", lambda name, pixels: picture(name, np.asarray, pixels))
+    return drawn
+
+
+def _viewed(folder: Path, row: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any] | None:
+    """What the viewer knows of the pair, whose pixels are written for it."""
+    import xarray  # here: a large image has no viewer, and does not wait a second for it
+
+    with xarray.open_dataset(folder / "results.nc", engine="h5netcdf") as opened:
+        written = viewer.write_data(folder, _Pair(opened.load(), row, settings))
+    return None if written is None else written | {"against": {"own": "reference"}}
 
 
 def write_index(folder: Path, results: dict[str, Any]) -> Path:
@@ -125,7 +146,7 @@ def write_index(folder: Path, results: dict[str, Any]) -> Path:
 class _Pair:
     """A comparison as the viewer knows a scene: one cell, one limit."""
 
-    read: xarray.Dataset
+    read: "xarray.Dataset"
     verdict: dict[str, Any]
     settings: dict[str, Any]
     name: str = "images"
@@ -140,7 +161,7 @@ class _Pair:
             "reference_replicates": self.settings["reference_replicates"],
         }
 
-    def dataset(self, run: Path) -> xarray.Dataset:
+    def dataset(self, run: Path) -> "xarray.Dataset":
         cell, limit = ["image", "image_variance"], ["reference", "reference_variance"]
         cell += [name for name in self.read.data_vars if str(name).startswith("tile_")]
         of_limits = self.read[limit].expand_dims("limit")

@@ -41,6 +41,8 @@ GREYS = 200, 250
 NOTHING = 110
 """Grey where neither side has anything."""
 _OUTLINE = 3
+_ROWS = 16
+"""That are drawn at a time: what is made of them in between stays in a processor's cache."""
 _OPTIMIZED = 2**19
 """Pixels of the largest picture whose file is made as small as can be."""
 
@@ -49,17 +51,19 @@ _KNOTS = np.array([unlabel_rgb(colour) for colour in reversed(diverging.RdBu)])
 _KNOTS[len(_KNOTS) // 2] = 255.0
 _RISING = np.array([hex_to_rgb(colour) for colour in sequential.Viridis], np.float64)
 _LEVELS = 255  # odd: 0 has a level of its own
-_DIVERGING = np.stack(
-    [np.interp(np.linspace(0, len(_KNOTS) - 1, _LEVELS), np.arange(len(_KNOTS)), c) for c in _KNOTS.T], axis=1
-)
+_SPREAD = [np.interp(np.linspace(0, len(_KNOTS) - 1, _LEVELS), np.arange(len(_KNOTS)), c) for c in _KNOTS.T]
+_DIVERGING = np.vstack([np.round(_SPREAD).T.astype(np.uint8), INVALID])
 
 
 def display(radiance: np.ndarray, *, exposure: float, gamma: float | None = None) -> np.ndarray:
     """(H, W, 3) uint8 of linear Rec. 709 radiance, by sRGB's curve or v^(1/gamma); invalid pixels in magenta."""
-    valid = np.isfinite(radiance).all(axis=-1, keepdims=True)
-    encoded = encode(np.where(valid, radiance, 0.0), exposure=exposure, gamma=gamma)
-    shown = np.round(255 * encoded).astype(np.uint8)
-    return np.where(valid, shown, INVALID)
+    shown = np.empty(radiance.shape, np.uint8)
+    for top in range(0, len(radiance), _ROWS):
+        band = radiance[top : top + _ROWS]
+        valid = np.isfinite(band).all(axis=-1, keepdims=True)
+        encoded = encode(np.where(valid, band, 0.0), exposure=exposure, gamma=gamma)
+        shown[top : top + _ROWS] = np.where(valid, np.round(255 * encoded).astype(np.uint8), INVALID)
+    return shown
 
 
 def shown_at(reference: np.ndarray) -> float:
@@ -86,9 +90,11 @@ def channel_errors(ours: np.ndarray, reference: np.ndarray, scale: float) -> np.
 
 def error_scale(errors: list[np.ndarray]) -> float:
     """q: the quantile of |e| over several error images, rounded up to two digits; 1 if nothing differs."""
-    magnitudes = np.abs(np.concatenate([error.ravel() for error in errors]))
-    magnitudes = magnitudes[np.isfinite(magnitudes)]
-    q = float(np.quantile(magnitudes, QUANTILE)) if magnitudes.size else 0.0
+    magnitudes = np.concatenate([error.ravel() for error in errors])
+    np.abs(magnitudes, out=magnitudes)
+    if not (finite := np.isfinite(magnitudes)).all():
+        magnitudes = magnitudes[finite]
+    q = float(np.quantile(magnitudes, QUANTILE, overwrite_input=True)) if magnitudes.size else 0.0
     if q == 0.0:
         q = float(magnitudes.max(initial=0.0))
     if q == 0.0:
@@ -101,8 +107,8 @@ def diverge(error: np.ndarray, *, scale: float) -> np.ndarray:
     """(..., 3) uint8 colours of signed errors in ±scale; beyond it the end colours, invalid in magenta."""
     valid = np.isfinite(error)
     share = np.clip(np.where(valid, error, 0.0) / scale, -1.0, 1.0)
-    level = np.round((share + 1.0) / 2.0 * (_LEVELS - 1)).astype(int)
-    return np.where(valid[..., None], np.round(_DIVERGING[level]).astype(np.uint8), INVALID)
+    level = np.round((share + 1.0) / 2.0 * (_LEVELS - 1)).astype(np.uint8)
+    return _DIVERGING[np.where(valid, level, _LEVELS)]
 
 
 def rise(values: np.ndarray, *, low: float, high: float) -> np.ndarray:

@@ -250,7 +250,7 @@ class _Scene:
                         "ours": picture(f"{term} {variant}", pictures.display(ours, exposure=exposure)),
                         "reference": picture(f"reference {name}", pictures.display(reference, exposure=exposure)),
                         "error": picture(f"{term} {variant} error {against}", pictures.diverge(error, scale=scale)),
-                        "maps": p_maps(dataset.isel(cell=cell), f"{term} {variant}", picture)
+                        "maps": p_maps(dataset.isel(cell=cell), ours.shape[:2], f"{term} {variant}", picture)
                         if against == "own"
                         else {},
                         "limit": name,

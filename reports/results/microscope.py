@@ -12,11 +12,10 @@ import json
 import math
 import shlex
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
-import xarray
 from scipy import stats
 
 from termwise.reports.statistics import verdict
@@ -24,6 +23,9 @@ from termwise.reports.statistics.replicates import LUMINANCE, TILE_SIDES
 from termwise.reports.statistics.welch import TERM_FLOOR, ULP_FLOOR, welch
 from termwise.scenes.strict import FileError
 from termwise.scenes.terms import TOTAL
+
+if TYPE_CHECKING:
+    import xarray
 
 SIDE = TILE_SIDES[0]
 NO_OBJECT = "(none)"
@@ -106,7 +108,7 @@ class Branch:
 
 
 def branch(
-    dataset: xarray.Dataset,
+    dataset: "xarray.Dataset",
     term: str,
     variant: str,
     *,
@@ -214,7 +216,7 @@ def branch(
     )
 
 
-def worst_replicate(dataset: xarray.Dataset, cell: int, values: np.ndarray, x: int, y: int) -> int:
+def worst_replicate(dataset: "xarray.Dataset", cell: int, values: np.ndarray, x: int, y: int) -> int:
     """Number of the replicate, of values (K, 3) at a pixel, that lies farthest out on the side of the pixel's bias."""
     reference = _luminance(dataset["reference"].values[int(dataset["own"].values[cell]), y, x])
     bias = _luminance(values.astype(np.float64)) - reference
@@ -249,8 +251,10 @@ class Run:
             raise ValueError(f"{self.folder}: holds no judged row with images: allowed are folders of a compare run")
         return sorted(rows, key=_gravity)
 
-    def group(self, scene: str) -> xarray.Dataset:
+    def group(self, scene: str) -> "xarray.Dataset":
         """The images of a scene."""
+        import xarray  # here: the page of large images, which knows SIDE, does not wait a second for it
+
         path = self.folder / "results.nc"
         try:
             with xarray.open_dataset(path, group=scene, engine="h5netcdf") as dataset:
@@ -282,7 +286,7 @@ def open_run(folder: Path) -> Run:
     return Run(folder, results)
 
 
-def has_pieces(dataset: xarray.Dataset) -> bool:
+def has_pieces(dataset: "xarray.Dataset") -> bool:
     """Whether a scene's images can be looked into: those of earlier versions cannot."""
     return "image_pieces" in dataset and "rendered" in dataset
 
@@ -299,7 +303,7 @@ def replay_command(results: dict[str, Any], row: dict[str, Any], found: Branch) 
     return shlex.join(map(str, words))
 
 
-def _cell(dataset: xarray.Dataset, term: str, variant: str) -> int:
+def _cell(dataset: "xarray.Dataset", term: str, variant: str) -> int:
     known = list(zip(*(dataset[name].values.astype(str) for name in ("cell_term", "cell_variant")), strict=True))
     if (term, variant) not in known:
         allowed = ", ".join(f"{its} {name}" for its, name in known)
@@ -307,7 +311,7 @@ def _cell(dataset: xarray.Dataset, term: str, variant: str) -> int:
     return known.index((term, variant))
 
 
-def rendered(dataset: xarray.Dataset, term: str, variant: str) -> tuple[int, np.ndarray]:
+def rendered(dataset: "xarray.Dataset", term: str, variant: str) -> tuple[int, np.ndarray]:
     """The replicate of a row that is stored as it was rendered, and its image (H, W, 3) float64."""
     cell = _cell(dataset, term, variant)
     return int(dataset["rendered_replicate"].values[cell]), dataset["rendered"].values[cell]
@@ -324,7 +328,7 @@ def _gravity(row: dict[str, Any]) -> tuple[int, float]:
 
 
 def _pixels(
-    dataset: xarray.Dataset, cell: int, limit: int, at: list[tuple[int, int]], mean: float, *, dof: int
+    dataset: "xarray.Dataset", cell: int, limit: int, at: list[tuple[int, int]], mean: float, *, dof: int
 ) -> list[Place]:
     """Pixels as places, the most suspect first."""
     x, y = (np.array(axis) for axis in zip(*at, strict=True))

@@ -109,7 +109,7 @@ def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureR
             Image.fromarray(pixels).save(folder / f"{name}.png")
             return name
 
-        for side in p_maps(cell, term, leave):
+        for side in p_maps(cell, (height, width), term, leave):
             each = [cell[f"tile_{name}_{side}"].values for name in ("p", "holm", "benjamini_hochberg")]
             pixels = np.stack(each, axis=-1).repeat(side, axis=0).repeat(side, axis=1)[:height, :width]
             header = {"software": "termwise", "scene": scene}

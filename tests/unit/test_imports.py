@@ -86,11 +86,12 @@ def test_importing_it_loads_no_more_than_numpy(theirs: Path):
 
 
 def test_the_judge_command_waits_for_no_mesh_no_metric_no_figure(theirs: Path):
-    heavy = (*HEAVY, "trimesh", "colour", "skimage", "matplotlib")
+    heavy = (*HEAVY, "trimesh", "colour", "skimage", "matplotlib", "xarray", "pandas", "dask")
     loaded = run(
         theirs,
         "from termwise.reports import cli, judging",
         "from termwise.reports.cli import judging",
+        "from termwise.reports.judging import folder",
         "from termwise.reports.pages import judge, pictures",
         "from termwise.scenes.images import replicates",
         "import numpy as np",

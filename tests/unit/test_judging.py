@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
+import xarray
 
 import termwise
 from termwise.reports.judging import hints
@@ -375,7 +376,20 @@ def test_an_image_too_large_for_the_viewer_says_so(draw: Draw, tmp_path: Path, m
     from termwise.reports.pages import judge as page
 
     monkeypatch.setattr(page, "VIEWED_PIXELS", SIZE * SIZE - 1)
-    text = termwise.judge(draw(), draw()).save(tmp_path).read_text("utf-8")
+    judgement = termwise.judge(draw(), draw())
+    text = judgement.save(tmp_path).read_text("utf-8")
     assert "have no viewer" in text
     assert 'id="viewer"' not in text
     assert not (tmp_path / "data").exists()
+    with xarray.open_dataset(tmp_path / "results.nc", engine="h5netcdf") as kept:
+        assert kept["image"].dims == ("y", "x", "channel")
+        assert kept["channel"].values.tolist() == ["red", "green", "blue"]
+        assert kept.attrs["exposure"] == pytest.approx(
+            0.18 / np.mean(judgement.reference.mean @ [0.2126, 0.7152, 0.0722])
+        )
+        np.testing.assert_array_equal(kept["image"], judgement.ours.mean)
+        np.testing.assert_array_equal(kept["reference_variance"], judgement.reference.variance)
+        for side, found in judgement.maps.items():
+            assert kept[f"tile_p_{side}"].dims == (f"tile_y_{side}", f"tile_x_{side}")
+            for name in ("bias", "p", "holm", "benjamini_hochberg"):
+                np.testing.assert_array_equal(kept[f"tile_{name}_{side}"], getattr(found, name))
