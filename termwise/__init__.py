@@ -37,6 +37,7 @@ _EXTRAS = {
     "nicegui": "render",
     "matplotlib": "render",
     "skimage": "render",
+    "xarray": "render",
     "mitsuba": "reference",
     "drjit": "reference",
     "distributed": "cluster",

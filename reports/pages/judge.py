@@ -8,11 +8,11 @@ import shutil
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 import attrs
-import h5py
+import h5netcdf
 import numpy as np
 from markupsafe import Markup, escape
 from PIL import Image
@@ -20,9 +20,6 @@ from PIL import Image
 from termwise.reports.pages import digits, pictures, viewer
 from termwise.reports.pages.environment import WORDS, copy_static, p_maps, page_environment, render_page
 from termwise.reports.statistics import verdict
-
-if TYPE_CHECKING:
-    import xarray
 
 NOTEBOOK_SIDE = 256
 """Pixels of the longer side of a picture in a notebook, at most."""
@@ -47,10 +44,14 @@ def write(folder: Path, *, root: str = "") -> Path:
     FileNotFoundError : if one of the two files is missing.
     """
     results = json.loads((folder / "results.json").read_text("utf-8"))
-    with h5py.File(folder / "results.nc") as kept:
-        names = [name for name in map(str, kept) if name in ("image", "reference") or name.startswith("tile_")]
-        read = {name: np.asarray(kept[name]) for name in names}
-        exposure = float(np.asarray(kept.attrs["exposure"]).item())
+    row, settings = results["verdict"], results["settings"]
+    with h5netcdf.File(folder / "results.nc", "r") as kept:
+        exposure = float(kept.attrs["exposure"])
+        height, width, _ = kept["image"].shape
+        seen = row["verdict"] != "ABSENT" and height * width <= VIEWED_PIXELS
+        # The viewer alone shows what variances say.
+        names = [name for name in kept.variables if seen or not name.endswith("_variance")]
+        read = {name: np.asarray(kept[name][...]) for name in names}
     shutil.rmtree(folder / "pictures", ignore_errors=True)
     viewer.clear(folder)
     written: list[Future[None]] = []
@@ -65,10 +66,7 @@ def write(folder: Path, *, root: str = "") -> Path:
         drawn = _drawn(picture, read, exposure)
     for each in written:
         each.result()  # or what went wrong
-    row = results["verdict"]
-    viewed = None
-    if row["verdict"] != "ABSENT" and drawn["height"] * drawn["width"] <= VIEWED_PIXELS:
-        viewed = _viewed(folder, row, results["settings"])
+    viewed = _viewed(folder, row, settings, read, exposure) if seen else None
     index = folder / "index.html"
     render_page(
         page_environment(),
@@ -76,7 +74,7 @@ def write(folder: Path, *, root: str = "") -> Path:
         index,
         root=root,
         row=row,
-        settings=results["settings"],
+        settings=settings,
         versions=results["versions"],
         drawn=drawn,
         viewed=viewed,
@@ -114,12 +112,15 @@ def _drawn(picture: Callable[..., str], read: dict[str, np.ndarray], exposure: f
     return drawn
 
 
-def _viewed(folder: Path, row: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any] | None:
-    """What the viewer knows of the pair, whose pixels are written for it."""
-    import xarray  # here: a large image has no viewer, and does not wait a second for it
-
-    with xarray.open_dataset(folder / "results.nc", engine="h5netcdf") as opened:
-        written = viewer.write_data(folder, _Pair(opened.load(), row, settings))
+def _viewed(
+    folder: Path, row: dict[str, Any], settings: dict[str, Any], read: dict[str, np.ndarray], exposure: float
+) -> dict[str, Any] | None:
+    """What the viewer knows of the pair, whose pixels are written for it: a scene of one cell and one limit."""
+    one = {"cell_term": "image", "cell_variant": "ours", "own": 0}
+    one["limit_name"] = f"{settings['reference_replicates']} replicates"
+    variables = {name: values[None] for name, values in read.items()}
+    variables |= {name: np.array([value]) for name, value in one.items()}
+    written = viewer.write_data(folder, _Pair(row, settings), variables, exposure)
     return None if written is None else written | {"against": {"own": "reference"}}
 
 
@@ -144,38 +145,17 @@ def write_index(folder: Path, results: dict[str, Any]) -> Path:
 
 @attrs.frozen(eq=False)
 class _Pair:
-    """A comparison as the viewer knows a scene: one cell, one limit."""
+    """A comparison as the viewer knows a scene."""
 
-    read: "xarray.Dataset"
     verdict: dict[str, Any]
     settings: dict[str, Any]
     name: str = "images"
-
-    @property
-    def described(self) -> dict[str, Any]:
-        return {"exposure": None}
 
     def row(self, term: str, variant: str, against: str) -> dict[str, Any]:
         return self.verdict | {
             "replicates": self.settings["replicates"],
             "reference_replicates": self.settings["reference_replicates"],
         }
-
-    def dataset(self, run: Path) -> "xarray.Dataset":
-        cell, limit = ["image", "image_variance"], ["reference", "reference_variance"]
-        cell += [name for name in self.read.data_vars if str(name).startswith("tile_")]
-        of_limits = self.read[limit].expand_dims("limit")
-        return (
-            self.read[cell]
-            .expand_dims("cell")
-            .merge(of_limits)
-            .assign(
-                cell_term=("cell", ["image"]),
-                cell_variant=("cell", ["ours"]),
-                own=("cell", [0]),
-                limit_name=("limit", [f"{self.settings['reference_replicates']} replicates"]),
-            )
-        )
 
 
 def notebook(judgement: Any) -> str:

@@ -121,7 +121,10 @@ def write(run: Path, *, report: Report = silent) -> Path:
         report(scene.name, done, steps)
         page = run / "scenes" / f"{scene.name}.html"
         # A scene with a changed setting has static pictures alone: the report of a study of variants stays small.
-        viewed = viewer.write_data(run, scene) if scene.setting is None else None
+        viewed = None
+        if scene.setting is None:
+            read = {str(name): each.values for name, each in scene.dataset(run).variables.items()}
+            viewed = viewer.write_data(run, scene, read, scene.exposure(run))
         render_page(environment, "scene.html.j2", page, root="../", scene=scene, viewed=viewed, **common)
         if viewed:
             page = page.with_suffix(".viewer.html")
@@ -174,6 +177,10 @@ class _Scene:
                 self._dataset = opened.load()
         return self._dataset
 
+    def exposure(self, run: Path) -> float:
+        """Factor on the radiance that is shown."""
+        return float(self.dataset(run).attrs.get("exposure", self.described["exposure"] or 1.0))
+
     def look(self, run: Path, results: dict[str, Any]) -> None:
         """Find the most suspect pixel of each judged row that has light; an earlier version's run has no pieces."""
         dataset = self.dataset(run)
@@ -212,7 +219,7 @@ class _Scene:
         """Write the scene's pictures; returns, by (term, variant, against), their addresses and scales."""
         dataset = self.dataset(run)
         self._time_reference(dataset)
-        exposure = float(dataset.attrs.get("exposure", self.described["exposure"] or 1.0))
+        exposure = self.exposure(run)
         folder = Path("pictures") / self.name
         written: set[Path] = set()
 

@@ -20,6 +20,7 @@ import base64
 import json
 import shutil
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -46,14 +47,16 @@ _DEGREES = 256
 """Degrees of freedom up to which the page knows Student's quantiles; beyond, they differ by less than 0.3 %."""
 
 
-def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
+def write_data(run: Path, scene: Any, variables: Mapping[str, np.ndarray], exposure: float) -> dict[str, Any] | None:
     """Write the scripts of a scene's pixels; returns what the viewer knows of them, None if the scene has no cell.
 
     Parameters
     ----------
-    run : a folder that holds `results.nc`.
+    run : a folder, which gets the folder `data`.
     scene
-        With `name`, `described` and `row(term, variant, against)`.
+        With `name` and `row(term, variant, against)`.
+    variables : by name, those of the scene in `results.nc`.
+    exposure : factor on the radiance that is shown.
 
     Returns
     -------
@@ -61,32 +64,29 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
     of the maps, of luminance and of a channel, by term and reference, shared by its variants, q the quantile of the
     static pictures.
     """
-    dataset = scene.dataset(run)
-    if not dataset.sizes["cell"]:
+    cells = [variables[name].astype(str).tolist() for name in ("cell_term", "cell_variant")]
+    if not cells[0]:
         return None
-    exposure = float(dataset.attrs.get("exposure", scene.described["exposure"] or 1.0))
     folder = run / "data" / scene.name
-    ours, references = dataset["image"].values, dataset["reference"].values
+    ours, references = variables["image"], variables["reference"]
     for kind, name in (("ours", "image"), ("limit", "reference")):
-        means = dataset[name].values
-        noisy = f"{name}_variance" in dataset
-        errors = np.sqrt(dataset[f"{name}_variance"].values) if noisy else np.full_like(means, np.nan)
+        means = variables[name]
+        noisy = f"{name}_variance" in variables
+        errors = np.sqrt(variables[f"{name}_variance"]) if noisy else np.full_like(means, np.nan)
         for index, (mean, error) in enumerate(zip(means, errors, strict=True)):
             _write(folder, f"{kind}-{index}", np.stack([np.asarray(mean, np.float32), _rounded(error)]))
 
-    swept = "sweep_luminance" in dataset and microscope.has_pieces(dataset)  # an earlier version's run has neither
+    swept = "sweep_luminance" in variables and microscope.has_pieces(variables)  # an earlier version's run has neither
     if swept:
-        for limit in range(dataset.sizes["limit"]):
-            _write(folder, f"sweep-limit-{limit}", _reference_tiles(dataset.isel(limit=limit)))
+        for limit in range(len(references)):
+            _write(folder, f"sweep-limit-{limit}", _reference_tiles(variables, limit))
 
     terms: dict[str, Any] = {}
     found: dict[tuple[str, str], dict[str, list[np.ndarray]]] = {}
-    for cell, (term, variant) in enumerate(
-        zip(dataset["cell_term"].values.astype(str), dataset["cell_variant"].values.astype(str), strict=True)
-    ):
+    for cell, (term, variant) in enumerate(zip(*cells, strict=True)):
         against = {}
         for name in AGAINST:
-            limit = int(dataset[name].values[cell]) if name in dataset else -1
+            limit = int(variables[name][cell]) if name in variables else -1
             if limit < 0:
                 continue
             signed, mean = pictures.relative_error(ours[cell], references[limit])
@@ -106,13 +106,13 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
             against[name] = {
                 "key": f"limit-{limit}",
                 "sweep": f"sweep-limit-{limit}" if swept else None,
-                "limit": str(dataset["limit_name"].values[limit]),
+                "limit": str(variables["limit_name"][limit]),
                 "mean": mean,
                 "replicates": row.get("reference_replicates"),
                 "flip": _write_flip(folder, cell, limit, ours[cell], references[limit], exposure),
             }
         row = scene.row(term, variant, "own") or {}
-        samples = _write_sweep(folder, dataset.isel(cell=cell), f"sweep-ours-{cell}") if swept else []
+        samples = _write_sweep(folder, variables, cell, f"sweep-ours-{cell}") if swept else []
         terms.setdefault(term, []).append(
             {
                 "name": variant,
@@ -121,7 +121,7 @@ def write_data(run: Path, scene: Any) -> dict[str, Any] | None:
                 "replicates": row.get("replicates"),
                 "samples": samples,
                 "sweep": f"sweep-ours-{cell}",
-                "tiles": _write_tiles(folder, dataset.isel(cell=cell), f"tiles-{cell}"),
+                "tiles": _write_tiles(folder, variables, cell, f"tiles-{cell}"),
                 "merged": {each["side"]: each["merged_into"] for each in row.get("tiles", [])},
                 "against": against,
             }
@@ -188,31 +188,33 @@ def _write_flip(
     return key
 
 
-def _write_tiles(folder: Path, cell: Any, key: str) -> str | None:
+def _write_tiles(folder: Path, variables: Mapping[str, np.ndarray], cell: int, key: str) -> str | None:
     """The key of the tests of a cell's tiles; None where the run has none of it."""
     names = [f"tile_{name}_{side}" for side in TILE_SIDES for name in MAPS]
-    if not all(name in cell for name in names) or not any(np.isfinite(cell[name]).any() for name in names):
+    if not all(name in variables for name in names):
         return None
-    _write(folder, key, np.concatenate([cell[name].values.ravel() for name in names]))
+    tests = np.concatenate([variables[name][cell].ravel() for name in names])
+    if not np.isfinite(tests).any():
+        return None
+    _write(folder, key, tests)
     return key
 
 
-def _write_sweep(folder: Path, cell: Any, key: str) -> list[int]:
+def _write_sweep(folder: Path, variables: Mapping[str, np.ndarray], cell: int, key: str) -> list[int]:
     """Write a cell's sweep; its prefixes, none for the total."""
-    samples = [count for count in cell["sweep_samples"].values.tolist() if count]
+    samples = [count for count in variables["sweep_samples"][cell].tolist() if count]
     if samples:
-        kept = cell.isel(prefix=slice(len(samples)))
-        pair = kept["sweep_luminance"].values, np.sqrt(kept["sweep_variance"].values)
-        _write(folder, key, _rounded(np.stack(pair, axis=1)))
+        mean, variance = (variables[f"sweep_{name}"][cell][: len(samples)] for name in ("luminance", "variance"))
+        _write(folder, key, _rounded(np.stack([mean, np.sqrt(variance)], axis=1)))
     return samples
 
 
-def _reference_tiles(limit: Any) -> np.ndarray:
+def _reference_tiles(variables: Mapping[str, np.ndarray], limit: int) -> np.ndarray:
     """(2, tiles) luminance of a reference's tiles and its standard error, of their pieces in each replicate."""
-    stack = limit["reference_pieces"].values
+    stack = variables["reference_pieces"][limit]
     stack = stack[~np.isnan(stack).all(axis=1)]
-    rows, columns = (limit[f"piece_{axis}"].values // microscope.SIDE for axis in "yx")
-    tile, pixels = rows * (columns.max() + 1) + columns, limit["piece_pixels"].values
+    rows, columns = (variables[f"piece_{axis}"] // microscope.SIDE for axis in "yx")
+    tile, pixels = rows * (columns.max() + 1) + columns, variables["piece_pixels"]
     means = np.array([np.bincount(tile, pixels * each) for each in stack]) / np.bincount(tile, pixels)
     if len(stack) < 2:
         return np.stack([means.mean(axis=0), np.full(means.shape[1], np.nan)])

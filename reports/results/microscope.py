@@ -11,6 +11,7 @@ proven stands in the row's verdict.
 import json
 import math
 import shlex
+from collections.abc import Container, Hashable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -286,7 +287,7 @@ def open_run(folder: Path) -> Run:
     return Run(folder, results)
 
 
-def has_pieces(dataset: "xarray.Dataset") -> bool:
+def has_pieces(dataset: Container[Hashable]) -> bool:
     """Whether a scene's images can be looked into: those of earlier versions cannot."""
     return "image_pieces" in dataset and "rendered" in dataset
 
