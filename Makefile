@@ -53,19 +53,20 @@ docs: .venv/.installed ## Build the manual, without network, where any warning i
 	@.venv/bin/python -m sphinx -W --keep-going -q -d $(OUT)/.doctrees docs $(OUT)/docs
 	@echo "$(OUT)/docs/index.html"
 
-test: .venv/.installed ## Run all tests that take some seconds at most, then those of the kernels again as plain Python
-	@.venv/bin/python -m tests.warm $(JOBS)
-	.venv/bin/python -m pytest -q -n $(JOBS) -m "not slow"
-	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) -m "not slow" tests/kernels
+# A rare test has kernels of its own, those of glass, images or a light of each kind: here it runs as plain Python.
+test: .venv/.installed ## Run all tests that take some seconds at most
+	@.venv/bin/python -m tests.warm test $(JOBS)
+	.venv/bin/python -m pytest -q -n $(JOBS) --dist loadfile -m "not (slow or rare or plain)"
+	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) -m "(rare or plain) and not slow" tests/kernels
 
-exam: .venv/.installed ## Run the tests that `make test` leaves out: levels by simulation, killed runs, chains against their twins
-	@.venv/bin/python -m tests.warm $(JOBS)
-	.venv/bin/python -m pytest -q -n $(JOBS) -m slow
-	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) -m slow tests/kernels
+exam: .venv/.installed ## Run what `make test` leaves out: what takes long, kernels of rare scenes, and all as plain Python
+	@.venv/bin/python -m tests.warm exam $(JOBS)
+	.venv/bin/python -m pytest -q -n $(JOBS) --dist loadfile -m "(slow or rare) and not plain"
+	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) -m "slow or not (rare or plain)" tests/kernels
 
 quick: .venv/.installed ## Tests of a minute or so, for work on the sources: no Mitsuba, no browser, nothing slow
-	@.venv/bin/python -m tests.warm $(JOBS)
-	.venv/bin/python -m pytest -q -n $(JOBS) -m "not slow" tests/kernels tests/unit tests/verdict
+	@.venv/bin/python -m tests.warm test $(JOBS)
+	.venv/bin/python -m pytest -q -n $(JOBS) --dist loadfile -m "not (slow or rare or plain)" tests/kernels tests/unit tests/verdict
 
 audit: .venv/.installed ## Judge the verdicts: their false alarms, and the faults planted in our sources that they catch; OUT=out
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.audit --out $(OUT) --jobs $(JOBS)

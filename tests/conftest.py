@@ -9,10 +9,21 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave tests marked `plain` to plain Python: what they call would be compiled for them alone."""
+    if COMPILED:
+        for item in items:
+            if item.get_closest_marker("plain"):
+                item.add_marker(pytest.mark.skip("as plain Python alone: NUMBA_DISABLE_JIT=1"))
+
+
 @pytest.fixture(scope="session")
 def compiled() -> bool:
     """Whether kernels are compiled; as plain Python (NUMBA_DISABLE_JIT=1) tests keep their sizes small."""
-    return os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
+    return COMPILED
 
 
 @pytest.fixture

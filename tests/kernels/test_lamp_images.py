@@ -24,17 +24,12 @@ from termwise.scenes.analytic import plate
 from termwise.scenes.model import Camera, Material, Mesh, Object, Photons, Scene, Toggles
 from termwise.scenes.textures import Texture
 
+pytestmark = pytest.mark.plain
 CORNER, ACROSS, UP = np.array([-0.4, -0.5, 1.2]), np.array([0.0, 1.1, 0.0]), np.array([0.9, 0.0, 0.0])
 AREA = 0.99
 FLOOR = plate("floor", (-3.0, -3.0, 0.0), (6.0, 0.0, 0.0), (0.0, 6.0, 0.0), Material((0.5, 0.5, 0.5)))
 FOUR = np.array([[[4.0, 1.0, 0.0], [0.5, 2.0, 8.0]], [[0.0, 3.0, 1.0], [6.0, 0.0, 0.0]]])
 """Texels that differ along both axes; the top row first."""
-
-
-@pytest.fixture(autouse=True)
-def _plain(compiled: bool) -> None:
-    if compiled:
-        pytest.skip("as plain Python alone: kernels of their own are compiled by `make exam`, against the references")
 
 
 def lamp(texels: object, *, side: int = 1, low: float = 0.25, high: float = 0.75, wrap: str = "clamp") -> Object:

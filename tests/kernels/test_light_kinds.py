@@ -43,13 +43,6 @@ SPHERE = SphereLight((0.5, 0.25, 1.5), 0.5, (3.0, 2.0, 1.0))
 KINDS = {"spot": (SPOT, spot), "directional": (DIRECTIONAL, directional), "sun": (SUN, sun), "sphere": (SPHERE, sphere)}
 
 
-@pytest.fixture
-def plain(compiled: bool) -> None:
-    """For tests of functions of kernels alone: each would be compiled for Python to call it."""
-    if compiled:
-        pytest.skip("what functions of kernels give, plain Python says")
-
-
 def lit_by(*lights: Any, **changes: Any) -> Scene:
     camera = Camera((0.0, -4.0, 3.0), (0.0, 0.0, 0.0), fov=20.0)
     scene = Scene("lit", camera, (FLOOR,), of_every_kind(*lights), resolution=(2, 2), scope="first-hit")
@@ -82,7 +75,7 @@ def by_spot(light: SpotLight, point: np.ndarray) -> np.ndarray:
     return (share * -way[..., 2] / distance**3)[..., None] * np.array(light.intensity)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 def test_spot_falls_off_linearly_in_the_angle():
     """In the beam, on the slope, and beyond the cutoff."""
     points = np.array([[0.3, 0.0, 0.0], [1.1, 0.6, 0.0], [-0.5, -0.4, 0.0], [2.4, 0.0, 0.0]])
@@ -95,7 +88,7 @@ def test_spot_falls_off_linearly_in_the_angle():
         np.testing.assert_allclose(irradiance(lit_by(SPOT), at(x, y), np.array([[0.5, 0.5]])), e, rtol=1e-12)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize(("beam", "cutoff"), [(15.0, 35.0), (0.0, 90.0), (30.0, 30.0), (29.999999, 30.0), (0.0, 0.01)])
 def test_power_of_a_spot(beam: float, cutoff: float):
     """`∫ I(t) 2 pi sin t dt`, and the mean of the photons."""
@@ -127,7 +120,7 @@ def by_quadrature(radiance: Vector, middle: np.ndarray, half_angle: float, norma
     return np.array(radiance) * rings.sum() * half_angle / steps
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("angle", [1e-3, 0.533, 40.0, 120.0])
 def test_all_of_a_sun_is_its_irradiance_times_the_cosine(angle: float):
     """`L pi sin² a cos t`: a disc's projection, however wide it is; facing it, `irradiance`."""
@@ -140,7 +133,7 @@ def test_all_of_a_sun_is_its_irradiance_times_the_cosine(angle: float):
             np.testing.assert_allclose(found, cosine * np.array(light.irradiance), rtol=5e-3)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("height", [-15.0, -5.0, 0.0, 10.0])
 def test_a_sun_on_the_horizon(height: float):
     """Partly below: by quadrature. `bound` is 0 where all of it is, and only there."""
@@ -157,7 +150,7 @@ def test_a_sun_on_the_horizon(height: float):
     assert not irradiance(lit_by(below), at(0.0, 0.0), lattice(8, 2)).any()
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 def test_a_small_sun_is_a_directional_light():
     narrow = attrs.evolve(SUN, angle=1e-3)
     theirs = irradiance(lit_by(DIRECTIONAL), at(0.0, 0.0), np.array([[0.5, 0.5]]))
@@ -166,7 +159,7 @@ def test_a_small_sun_is_a_directional_light():
     np.testing.assert_allclose(theirs, cosine * np.array(DIRECTIONAL.irradiance), rtol=1e-12)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("kind", KINDS)
 def test_photons_land_as_irradiance(kind: str):
     """In a square of the floor lands `∫ E dA`; all of them together carry the power."""
@@ -191,6 +184,7 @@ def test_photons_land_as_irradiance(kind: str):
     assert flux.mean() == pytest.approx(power[0], rel=0.02)
 
 
+@pytest.mark.rare
 def test_distant_light_is_hidden_across_the_scene():
     """By a screen at the other end of it, and not by one that lies behind the point."""
     far = plate("far", (40.0, -9.0, 20.0), (0.0, 18.0, 0.0), (0.0, 0.0, 30.0))
@@ -246,7 +240,7 @@ def by_sphere(light: SphereLight, point: np.ndarray) -> np.ndarray:
     return (math.pi * light.radius**2 * way[..., 2] / distance**3)[..., None] * np.array(light.radiance)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("place", [(0.5, 0.25), (1.5, -1.0), (-2.5, 2.0)])
 def test_a_sphere_above_the_horizon(place: tuple[float, float]):
     points = lattice(32, 2)
@@ -254,7 +248,7 @@ def test_a_sphere_above_the_horizon(place: tuple[float, float]):
     np.testing.assert_allclose(irradiance(lit_by(SPHERE), at(*place), points), expected, rtol=5e-3)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("height", [-0.4, 0.0, 0.3, 0.6])
 def test_a_sphere_on_the_horizon(height: float):
     """Partly below: by quadrature over the cone; `bound` is 0 where all of it is, and only there."""
@@ -270,7 +264,7 @@ def test_a_sphere_on_the_horizon(height: float):
     assert sphere.bound(below, 0, at(0.0, 0.0)) == 0.0
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 def test_inside_a_sphere_it_is_dark():
     """Its outside shines; the floor within it sees its back, as that of any lamp."""
     scene = lit_by(attrs.evolve(SPHERE, center=(0.0, 0.0, 0.0)))
@@ -278,7 +272,7 @@ def test_inside_a_sphere_it_is_dark():
     assert sphere.bound(from_scene(scene), 0, at(0.1, 0.1)) == 0.0
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("radius", [1e-6, 0.1, 0.9, 1.0 - 1e-9])
 def test_density_of_a_sphere_is_that_of_its_cone(radius: float):
     """1 over its solid angle; the samples are points of the near side, within the cone."""
@@ -293,7 +287,7 @@ def test_density_of_a_sphere_is_that_of_its_cone(radius: float):
         assert sphere.density(arrays, 0, surface, way, face) == pytest.approx(1.0 / solid_angle, rel=1e-6)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 def test_rays_meet_a_sphere_where_it_is():
     """Against the quadratic in long doubles: random rays, from outside, from inside and from far away."""
     rng = np.random.default_rng(1)
@@ -347,7 +341,7 @@ def test_a_sphere_is_in_the_way():
         assert not renderer.render(scene, "ambient", samples=1).mean.any()
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 def test_the_papers_shadow_asks_for_the_center_of_a_sphere():
     """Seen through its own surface; a plate between hides it, though not all of the sphere."""
     shield = plate("shield", (-0.05, -0.05, 0.3), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0))

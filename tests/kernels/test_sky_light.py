@@ -40,13 +40,6 @@ SKIES = {
 }
 
 
-@pytest.fixture
-def plain(compiled: bool) -> None:
-    """For tests of functions of kernels alone: each would be compiled for Python to call it."""
-    if compiled:
-        pytest.skip("what functions of kernels give, plain Python says")
-
-
 def under(sky: Sky, **changes: object) -> Scene:
     camera = Camera((0.0, -3.0, 1.0), (0.3, 0.2, 0.0), fov=0.01)
     scene = Scene("under", camera, (FLOOR,), ambient=Ambient(source="sky"), sky=sky, resolution=(2, 2))
@@ -96,7 +89,7 @@ def by_quadrature(sky: Sky, origin: Vector, hit: Callable[[np.ndarray], np.ndarr
     return light.sum(axis=0) * share
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("name", SKIES)
 def test_density_is_one_in_all(name: str):
     """From inside of the sky's sphere and, where it has one, from outside; and samples are as dense as it says."""
@@ -120,7 +113,7 @@ def test_density_is_one_in_all(name: str):
             assert drawn[:, axis].mean() == pytest.approx(expected, abs=0.04)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("name", SKIES)
 def test_what_the_sky_sends_to_an_open_floor(name: str):
     """Each sample of the mixture, evenly spread; the mean is the quadrature's."""
@@ -166,6 +159,7 @@ def test_a_sky_of_one_colour_is_the_constant():
     assert [step.reason for step in black if step.work.startswith("kernel")] == ["the ambient light is black"]
 
 
+@pytest.mark.rare
 def test_drawing_by_the_sky_pays(compiled):
     """A bright spot: the default has less than half of the variance of directions that know nothing of it."""
     scene = under(SKIES["panorama"], camera=Camera((0.0, -3.0, 1.0), (0.3, 0.2, 0.0), fov=0.01))

@@ -16,13 +16,6 @@ from termwise.renderer.textures import color_at, from_scene, number_at
 from termwise.scenes.analytic import plate
 from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, PointLight, Scene, Texture, Toggles
 
-
-@pytest.fixture
-def _plain(compiled: bool) -> None:
-    if compiled:
-        pytest.skip("as plain Python alone: kernels of their own are compiled by `make exam`, against the references")
-
-
 MODES = {"repeat": "grid-wrap", "clamp": "nearest"}
 
 
@@ -95,6 +88,7 @@ def brute_force(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return np.where(np.isfinite(t.min(axis=1)), face, -1), np.stack([1 - b1 - b2, b1, b2], axis=1)
 
 
+@pytest.mark.rare
 def test_pictures_are_those_of_brute_force():
     """A ball with places of each corner at random before a square: gloss 1/4 leaves 3/4, and as an image its rest."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.6)
@@ -120,7 +114,7 @@ def test_pictures_are_those_of_brute_force():
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.usefixtures("_plain")
+@pytest.mark.plain
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_an_image_of_one_value_is_that_value(share: float):
     """All terms, whatever the uv, and what crosses; the reflections of one square in another meet it too."""
@@ -164,7 +158,7 @@ def test_a_checker_of_two_by_two(wrap: str):
     assert corner == pytest.approx(0.4 if wrap == "repeat" else dark, abs=1e-7)
 
 
-@pytest.mark.usefixtures("_plain")
+@pytest.mark.plain
 def test_photons_land_where_the_image_is_black_too():
     """A density counts those around a point: half of them would be missing beside a black half, and E with them."""
     half = np.zeros((1, 2, 3), np.float32)

@@ -22,15 +22,10 @@ from termwise.scenes.load import library, load
 from termwise.scenes.model import Ambient, Camera, Material, Object, Photons, PointLight, Scene, Vector
 from tests.scenes import box
 
+pytestmark = pytest.mark.plain
 COLOR = (0.8, 0.5, 0.2)
 WHITE = (1.0, 1.0, 1.0)
 SHARES = (0.0, 0.25, 1.0)
-
-
-@pytest.fixture(autouse=True)
-def _plain(compiled: bool) -> None:
-    if compiled:
-        pytest.skip("as plain Python alone: kernels of their own are compiled by `make exam`, against the references")
 
 
 def sheet(share: float, color: Vector = COLOR) -> Object:

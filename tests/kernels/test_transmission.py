@@ -23,14 +23,9 @@ from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photo
 from termwise.scenes.terms import TABLE, TERMS
 from tests.kernels.test_dielectric import energy, fresnel
 
+pytestmark = pytest.mark.plain
 WHITE = (1.0, 1.0, 1.0)
 GLASS = Material(color=WHITE, gloss=1.0, roughness=1e-4, transparency=1.0)
-
-
-@pytest.fixture(autouse=True)
-def _plain(compiled: bool) -> None:
-    if compiled:
-        pytest.skip("as plain Python alone: kernels of their own are compiled by `make exam`, against the references")
 
 
 def slab(material: Material = GLASS, *, wide: float = 40.0, deep: float = 0.5) -> Object:

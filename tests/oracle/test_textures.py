@@ -47,6 +47,7 @@ def room(**changes: Any) -> Scene:
     return attrs.evolve(scene, **changes)
 
 
+@pytest.mark.rare
 def test_both_sides_look_up_alike():
     """Nothing is random here but a camera ray's rounding: no occlusion, the middles of the pixels."""
     scene = room(toggles=Toggles(ambient_occlusion=False))
@@ -58,6 +59,7 @@ def test_both_sides_look_up_alike():
     assert np.count_nonzero(np.abs(ours - theirs).max(axis=2) > 1e-5) <= 2
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("wrap", ["repeat", "clamp"])
 def test_mitsubas_own_readers_see_the_same(tmp_path: Path, wrap: str):
     """OBJ and PNG by Mitsuba, its v, its sRGB and its bilinear weights, at what our camera's rays meet."""
@@ -98,6 +100,7 @@ color = {{ file = "a.png", wrap = "{wrap}" }}
     np.testing.assert_allclose(ours, found, atol=2e-5)
 
 
+@pytest.mark.rare
 def test_mitsubas_xml_lays_the_images_as_ours(tmp_path: Path):
     """Its file by Mitsuba's own parser, every gloss 0: the colours at what our camera's rays meet."""
     scene = neutral.diffuse(room(toggles=Toggles(ambient_occlusion=False), ambient=Ambient((1.0, 1.0, 1.0))))

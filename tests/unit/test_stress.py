@@ -209,6 +209,7 @@ def test_a_lost_bounce_fails_the_flux_of_a_closed_box(albedo, monkeypatch):
     assert not measure("photons", one, ("ours",))["passed"]
 
 
+@pytest.mark.rare
 @pytest.mark.usefixtures("_fast")
 @pytest.mark.parametrize(
     ("name", "planted"),
@@ -228,6 +229,7 @@ def test_a_planted_fault_fails_a_row_of_lights(name, planted, monkeypatch):
     assert fails("lights", name)
 
 
+@pytest.mark.rare
 @pytest.mark.usefixtures("_fast")
 @pytest.mark.parametrize(
     ("name", "function", "fault"),
