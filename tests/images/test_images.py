@@ -1,4 +1,4 @@
-"""The four scenes of the paper, small: every term against Mitsuba.
+"""The four scenes of the paper, small: every term against Mitsuba. `make test` has one of them, `make exam` the others.
 
 The deciding test is the verdict of each row. RMSE and SSIM of the mean images stand beside it, bounded by what two
 seeds of one side differ by (`calibrate.py`): they need no statistics to be read, and cannot tell bias from noise.
@@ -6,10 +6,11 @@ seeds of one side differ by (`calibrate.py`): they need no statistics to be read
 
 import contextlib
 import fcntl
+import functools
 import math
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,6 +49,13 @@ ROWS = [
 ABSENT = {("cornell_box", "background"), ("cornell_box_unshadowed", "background")}
 # The paper's cosine-power sampling of a lobe is too noisy for so few samples.
 MAY_BE_UNDERPOWERED = {("specular", "paper")}
+QUICK = "two_cubes"
+OfScene = Callable[[str], "Measured"]
+
+
+def cases(of_scenes: Iterable[tuple[str, ...]]) -> list[Any]:
+    """Parameters of tests, of which the first is a scene."""
+    return [pytest.param(*each, marks=() if each[0] == QUICK else pytest.mark.slow) for each in of_scenes]
 
 
 class Measured(NamedTuple):
@@ -83,9 +91,14 @@ def _measure(chosen: study.Study, scenes: tuple[Scene, ...], folder: Path) -> Me
 
 
 @pytest.fixture(scope="session")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
-    """All rows of `study.toml`."""
-    return _measure(STUDY, SCENES, tmp_path_factory.mktemp("images"))
+def measured(tmp_path_factory: pytest.TempPathFactory) -> OfScene:
+    """All rows of `study.toml` that a scene has, measured when they are first asked for."""
+
+    @functools.cache
+    def of_scene(name: str) -> Measured:
+        return _measure(STUDY, subjects.scenes_of(STUDY, (name,)), tmp_path_factory.mktemp(name))
+
+    return of_scene
 
 
 @contextlib.contextmanager
@@ -121,17 +134,15 @@ def evidence(measured: Measured, scene: str, term: str, request: pytest.FixtureR
 
 
 @pytest.mark.parametrize(
-    ("scene", "term"), [(s, t) for s in THRESHOLDS for t in THRESHOLDS[s]], ids=lambda value: value
+    ("scene", "term"), cases((s, t) for s in THRESHOLDS for t in THRESHOLDS[s]), ids=lambda value: value
 )
-def test_mean_images_are_as_near_as_two_seeds(
-    scene: str, term: str, measured: Measured, request: pytest.FixtureRequest
-):
-    bound = THRESHOLDS[scene][term]
+def test_mean_images_are_as_near_as_two_seeds(scene: str, term: str, measured: OfScene, request: pytest.FixtureRequest):
+    bound, found = THRESHOLDS[scene][term], measured(scene)
     variant = "default" if term == "total" else getattr(STUDY.variants, term)[0]
-    if "reference_shortfall" in measured.own[scene, term, variant]:
+    if "reference_shortfall" in found.own[scene, term, variant]:
         pytest.skip("the reference has fewer samples than the thresholds were calibrated for")
-    ours, reference = measured.images[scene, term]
-    with evidence(measured, scene, term, request):
+    ours, reference = found.images[scene, term]
+    with evidence(found, scene, term, request):
         assert metrics.rmse(reference, ours) <= bound["rmse"], bound["reason"]
         assert metrics.ssim(reference, ours, exposure=load(scene).exposure) >= bound["ssim"], bound["reason"]
 
@@ -141,28 +152,28 @@ def test_every_term_that_a_scene_has_is_bounded():
     assert bounded == {(scene, term) for scene, term, _ in ROWS} - ABSENT
 
 
-@pytest.mark.parametrize(("scene", "term", "variant"), ROWS, ids=lambda value: value)
-def test_verdict(scene: str, term: str, variant: str, measured: Measured, request: pytest.FixtureRequest):
-    row = measured.own[scene, term, variant]
+@pytest.mark.parametrize(("scene", "term", "variant"), cases(ROWS), ids=lambda value: value)
+def test_verdict(scene: str, term: str, variant: str, measured: OfScene, request: pytest.FixtureRequest):
+    row = measured(scene).own[scene, term, variant]
     if (scene, term) in ABSENT:
         allowed = {"ABSENT"}
     else:
         allowed = {"EQUIVALENT" if row["kind"] == "right" else "AS PREDICTED"}
         if (term, variant) in MAY_BE_UNDERPOWERED or "reference_shortfall" in row:
             allowed.add("UNDERPOWERED")
-    with evidence(measured, scene, term, request):
+    with evidence(measured(scene), scene, term, request):
         assert row["verdict"] in allowed, row["sentence"]
 
 
-def test_absent_names_its_reason(measured: Measured):
-    for scene, term in ABSENT:
-        assert measured.own[scene, term, "seen"]["reasons"] == ("the sky is black and lights are not drawn",)
+@pytest.mark.parametrize(("scene", "term"), cases(sorted(ABSENT)))
+def test_absent_names_its_reason(scene: str, term: str, measured: OfScene):
+    assert measured(scene).own[scene, term, "seen"]["reasons"] == ("the sky is black and lights are not drawn",)
 
 
-@pytest.mark.parametrize("scene", [scene.name for scene in SCENES])
-def test_paper_ambient_is_pi_times_too_bright(scene: str, measured: Measured):
+@pytest.mark.parametrize("scene", cases((scene.name,) for scene in SCENES))
+def test_paper_ambient_is_pi_times_too_bright(scene: str, measured: OfScene):
     """The paper weights cosine-distributed rays with the cosine-free pdf's factor: own limit / correct limit is pi."""
-    row = measured.correct[scene, "ambient", "paper"]
+    row = measured(scene).correct[scene, "ambient", "paper"]
     assert row["predicted_bias"] == pytest.approx(math.pi - 1)
     # Five standard errors with 15 degrees of freedom or more: one false alarm in 6000 rows.
     assert abs(row["bias"] - (math.pi - 1)) <= 5 * row["standard_error"]
@@ -172,15 +183,15 @@ def test_paper_ambient_is_pi_times_too_bright(scene: str, measured: Measured):
 def test_paper_specular_of_one_bounce_is_4_over_pi_times_too_bright(tmp_path: Path):
     """Each vertex of a chain has the factor 4/pi; a chain of one vertex gives it to the whole image."""
     chosen = attrs.evolve(STUDY, samples=STUDY.samples | {"specular.paper": 128})
-    (scene,) = subjects.scenes_of(chosen, ("two_cubes",))
-    name = "two_cubes"
-    measured = _measure(chosen, (attrs.evolve(scene, max_bounces=1),), tmp_path)
-    row = measured.correct[name, "specular", "paper"]
+    (scene,) = subjects.scenes_of(chosen, (QUICK,))
+    name = QUICK
+    found = _measure(chosen, (attrs.evolve(scene, max_bounces=1),), tmp_path)
+    row = found.correct[name, "specular", "paper"]
     assert row["predicted_bias"] == pytest.approx(4 / math.pi - 1)
     assert abs(row["bias"] - (4 / math.pi - 1)) <= 5 * row["standard_error"]
     assert row["standard_error"] < 0.01
-    assert measured.own[name, "specular", "paper"]["verdict"] in ("AS PREDICTED", "UNDERPOWERED")
-    assert measured.own[name, "specular", "vndf"]["verdict"] == "EQUIVALENT"
+    assert found.own[name, "specular", "paper"]["verdict"] in ("AS PREDICTED", "UNDERPOWERED")
+    assert found.own[name, "specular", "vndf"]["verdict"] == "EQUIVALENT"
 
 
 # The same gate must fail where something is wrong: each fault is put into the replicates of one cell.
@@ -235,25 +246,23 @@ def test_planted_half_pixel_shift_is_biased(tmp_path: Path, monkeypatch: pytest.
 
 
 def _caught(folder: Path) -> set[tuple[str, str]]:
-    """Term and variant of what the run of `two_cubes` calls BIASED or NOT AS PREDICTED."""
-    scenes = subjects.scenes_of(STUDY, ("two_cubes",))
+    """Term and variant of what a run calls BIASED or NOT AS PREDICTED."""
+    scenes = subjects.scenes_of(STUDY, (QUICK,))
     rows = _measure(STUDY, scenes, folder).own.values()
     return {(row["term"], row["variant"]) for row in run.failures({"cells": rows})}
 
 
-def test_a_failure_leaves_its_images(measured: Measured, request: pytest.FixtureRequest, monkeypatch, tmp_path: Path):
+def test_a_failure_leaves_its_images(measured: OfScene, request: pytest.FixtureRequest, monkeypatch, tmp_path: Path):
     monkeypatch.setattr(sys.modules[__name__], "FAILED", tmp_path)
-    with (
-        pytest.raises(AssertionError, match="again: .*test_images.py"),
-        evidence(measured, "monkey", "ambient", request),
-    ):
+    found = measured(QUICK)
+    with pytest.raises(AssertionError, match="again: .*test_images.py"), evidence(found, QUICK, "ambient", request):
         raise AssertionError("a bound is exceeded")
-    left = {path.name for path in (tmp_path / "monkey-ambient").iterdir()}
+    left = {path.name for path in (tmp_path / f"{QUICK}-ambient").iterdir()}
     names = "ours", "reference", "error", *(f"ambient p-map {side}" for side in TILE_SIDES)
     assert left == {f"{name}.{kind}" for name in names for kind in ("exr", "png")}
-    cell = measured.cells["monkey", "ambient"]
-    (p,) = read_exr(tmp_path / "monkey-ambient" / "ambient p-map 16.exr").values()
+    cell = found.cells[QUICK, "ambient"]
+    (p,) = read_exr(tmp_path / f"{QUICK}-ambient" / "ambient p-map 16.exr").values()
     np.testing.assert_allclose(p[::16, ::16, 0], cell["tile_p_16"].values, rtol=1e-6)
-    (error,) = read_exr(tmp_path / "monkey-ambient" / "error.exr").values()
-    ours, reference = measured.images["monkey", "ambient"]
+    (error,) = read_exr(tmp_path / f"{QUICK}-ambient" / "error.exr").values()
+    ours, reference = found.images[QUICK, "ambient"]
     np.testing.assert_allclose(error, ours - reference, atol=1e-6)
