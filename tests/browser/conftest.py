@@ -2,12 +2,15 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, expect, sync_playwright
 
 REQUIRED = os.environ.get("TERMWISE_BROWSER") == "required"
+# Everything is waited for until it is there; what has not come by then never will, however busy the machine.
+WAIT_S = 300
+expect.set_options(timeout=1000 * WAIT_S)
 
 
 @pytest.fixture(scope="module")
@@ -24,3 +27,18 @@ def browser() -> Iterator[Browser]:
         found = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
         yield found
         found.close()
+
+
+@pytest.fixture
+def new_context(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
+    """Makes users of the browser, patient ones; all are gone in the end: a page left open would go on rendering."""
+    made: list[BrowserContext] = []
+
+    def new(**options: object) -> BrowserContext:
+        made.append(browser.new_context(**options))  # type: ignore[arg-type]
+        made[-1].set_default_timeout(1000 * WAIT_S)
+        return made[-1]
+
+    yield new
+    for context in made:
+        context.close()

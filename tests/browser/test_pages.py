@@ -8,7 +8,6 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 import xarray
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, Page
+from playwright.sync_api import BrowserContext, Page
 from scipy import stats
 
 from termwise.reports.pages import report as page
@@ -47,11 +46,9 @@ class Opened:
 
 
 @pytest.fixture
-def context(browser: Browser) -> Iterator[BrowserContext]:
+def context(new_context) -> BrowserContext:
     """Offline, 1300 pixels wide."""
-    found = browser.new_context(offline=True, viewport={"width": 1300, "height": 1000})
-    yield found
-    found.close()
+    return new_context(offline=True, viewport={"width": 1300, "height": 1000})
 
 
 def opened(context: BrowserContext, address: str) -> Opened:
@@ -564,13 +561,11 @@ def test_missing_pixels_are_named(context, run, tmp_path):
     assert re.search(r"data/two_cubes/\S+\.js could not be read", page.locator("#status").inner_text())
 
 
-def test_without_javascript_the_static_pictures_stand(browser, run):
-    context = browser.new_context(java_script_enabled=False, offline=True)
-    page = context.new_page()
+def test_without_javascript_the_static_pictures_stand(new_context, run):
+    page = new_context(java_script_enabled=False, offline=True).new_page()
     page.goto((run / "scenes" / f"{SCENE}.viewer.html").as_uri())
     assert page.locator("#viewer").is_hidden()
     assert page.locator("noscript img").count() == 3 * len(CELLS)
-    context.close()
 
 
 @pytest.mark.slow
@@ -612,8 +607,8 @@ def test_a_single_file_holds_every_page(context, run, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "width"), [("light", 400), ("dark", 1300)])
 @pytest.mark.parametrize("name", ["index.html", "method.html", f"scenes/{SCENE}.html", f"scenes/{SCENE}.viewer.html"])
-def test_axe_finds_nothing_serious(browser, run, name, scheme, width):
-    context = browser.new_context(color_scheme=scheme, offline=True, viewport={"width": width, "height": 1000})
+def test_axe_finds_nothing_serious(new_context, run, name, scheme, width):
+    context = new_context(color_scheme=scheme, offline=True, viewport={"width": width, "height": 1000})
     page = opened(context, (run / name).as_uri()).page
     if "viewer" in name:
         ready(page)
@@ -623,8 +618,7 @@ def test_axe_finds_nothing_serious(browser, run, name, scheme, width):
     found = page.evaluate(f"axe.run(document, {rules})")
     for narrower in (width, 800, 400):
         page.set_viewport_size({"width": narrower, "height": 1000})
-        page.wait_for_function("document.documentElement.scrollWidth <= innerWidth", timeout=5000)
-    context.close()
+        page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
     assert "landmark-unique" in {each["id"] for each in found["passes"] + found["violations"]}
     serious = [
         each
@@ -647,6 +641,5 @@ def test_panels_of_a_chart_stand_one_above_the_other_where_it_is_narrow(context,
             " const [above, beside] = [a.bottom < b.top && a.left < b.right, a.right < b.left && a.bottom > b.top];"
             " return narrow ? above : beside; }",
             arg=[plot.element_handle(), width < 700],
-            timeout=10_000,
         )
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

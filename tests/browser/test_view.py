@@ -28,10 +28,8 @@ from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TERMS, total
 from tests import scenes
+from tests.browser.conftest import WAIT_S
 
-# Everything is waited for until it is there; what has not come by then never will, however busy the machine.
-WAIT_S = 300
-expect.set_options(timeout=1000 * WAIT_S)
 COMMAND = [sys.executable, "-c", "from termwise.reports.cli import main; main()"]
 
 
@@ -73,21 +71,16 @@ def server(folder, small) -> Iterator[tuple[str, subprocess.Popen]]:
 
 
 @pytest.fixture
-def tab(browser) -> Iterator[Callable]:
-    """Opens empty tabs, each of another user; all are closed in the end, since one left open would go on rendering."""
-    contexts: list = []
+def tab(new_context) -> Iterator[Callable]:
+    """Opens empty tabs, each of another user."""
     faults: list[str] = []
 
     def opened():
-        contexts.append(browser.new_context(permissions=["clipboard-read", "clipboard-write"]))
-        contexts[-1].set_default_timeout(1000 * WAIT_S)
-        page = contexts[-1].new_page()
+        page = new_context(permissions=["clipboard-read", "clipboard-write"]).new_page()
         page.on("pageerror", lambda error: faults.append(str(error)))
         return page
 
     yield opened
-    for context in contexts:
-        context.close()
     assert not faults
 
 

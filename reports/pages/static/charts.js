@@ -44,7 +44,8 @@ function draw(plot) {
   const options = { displaylogo: false, displayModeBar: "hover", responsive: true };
   Plotly.react(plot, figure.data, arranged(figure.layout), options)
     .then(() => Plotly.relayout(plot, colours()))
-    .then(() => plot.setAttribute("role", "group")); // plotly's "img" would hide its buttons from a screen reader
+    .then(() => plot.setAttribute("role", "group")) // plotly's "img" would hide its buttons from a screen reader
+    .then(() => plot.offsetParent && Plotly.Plots.resize(plot)); // the window may have changed while it was drawn
   if (!plots.includes(plot)) plots.push(plot);
 }
 narrow.addEventListener("change", () => plots.forEach(draw));
