@@ -242,7 +242,7 @@ def test_ctrl_c_ends_what_runs(tmp_path: Path):
             time.sleep(0.01)
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
-    threading.Thread(target=interrupt).start()
+    threading.Thread(target=interrupt, daemon=True).start()
     begin = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         list(made(jobs, together=2))
