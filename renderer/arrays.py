@@ -19,7 +19,7 @@ from termwise.scenes.model import Camera, Scene
 
 
 class ShadowRule(NamedTuple):
-    """The paper's: centres (L, 3) of the lights, and each one's object (L,) int32, -1 for a point. Empty without it."""
+    """The paper's: centres (L, 3) of the lights, and each one's object (L,) int32, -1 for a point."""
 
     centre: np.ndarray
     object: np.ndarray
@@ -77,7 +77,7 @@ class SceneArrays(NamedTuple):
     geometry: Geometry
     materials: Materials
     emitters: Emitters
-    shadow_rule: ShadowRule
+    shadow_rule: ShadowRule | None
     sky: SkyArrays
     camera: CameraArrays
     ambient: Vec3
@@ -153,8 +153,11 @@ def from_scene(scene: Scene, *, without: Collection[str] = ()) -> SceneArrays:
     )
 
 
-def _shadow_rule(scene: Scene) -> ShadowRule:
-    centres = scene.light_centres if scene.shadows == "paper" else []
+def _shadow_rule(scene: Scene) -> ShadowRule | None:
+    """None of a scene that goes by visibility alone: its kernels are compiled without."""
+    if scene.shadows != "paper":
+        return None
+    centres = scene.light_centres
     return ShadowRule(
         np.array([centre for centre, _ in centres]).reshape(-1, 3), np.array([thing for _, thing in centres], np.int32)
     )

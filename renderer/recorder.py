@@ -85,7 +85,7 @@ class Recorder:
 
     def shadowed(self, given: Any, dark: bool, caller: FrameType) -> None:
         """The paper's shadow rule."""
-        if len(self.scene.shadow_rule.object):
+        if self.scene.shadow_rule is not None and len(self.scene.shadow_rule.object):
             self.note("shadow rule", dark=bool(dark))
 
     def sample_hemisphere(self, given: Any, drawn: Any, caller: FrameType) -> None:

@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from termwise.renderer import spheres
-from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.arrays import SceneArrays, ShadowRule
 from termwise.renderer.geometry import paper, rays
 from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
 from termwise.renderer.geometry.wave import Wave, hit_of, put_hit
@@ -111,22 +111,28 @@ def _place(geometry: Geometry, balls: Spheres | None, hit: Hit) -> Vec3:
 @device
 def shadowed(scene: SceneArrays, surface: Surface, scratch: Scratch) -> bool:
     """The paper's rule: the scene has lights, and the centre of none is visible; a light's own faces do not count."""
-    rule = scene.shadow_rule
-    geometry = scene.geometry
-    for light in range(len(rule.object)):
-        origin = surface.point
-        leaving = surface.face
-        while True:
-            ray = make_ray(origin, sub(vec3(rule.centre, light), origin))
-            hit = closest(scene, ray, 1.0, leaving, scratch)
-            if hit.face < 0 or hit.t >= 1.0:
-                return False
-            if geometry.object[hit.face] != rule.object[light]:
-                break
-            # Through a face of the light itself.
-            origin = _place(geometry, geometry.spheres, hit)
-            leaving = hit.face
-    return len(rule.object) > 0
+    return _sees_no_centre(scene, scene.shadow_rule, surface, scratch)
+
+
+@device
+def _sees_no_centre(scene: SceneArrays, rule: ShadowRule | None, surface: Surface, scratch: Scratch) -> bool:
+    if rule is not None:
+        geometry = scene.geometry
+        for light in range(len(rule.object)):
+            origin = surface.point
+            leaving = surface.face
+            while True:
+                ray = make_ray(origin, sub(vec3(rule.centre, light), origin))
+                hit = closest(scene, ray, 1.0, leaving, scratch)
+                if hit.face < 0 or hit.t >= 1.0:
+                    return False
+                if geometry.object[hit.face] != rule.object[light]:
+                    break
+                # Through a face of the light itself.
+                origin = _place(geometry, geometry.spheres, hit)
+                leaving = hit.face
+        return len(rule.object) > 0
+    return False
 
 
 @device
