@@ -112,7 +112,7 @@ def replicate_parts(
 def has_second(scene: Scene, limit: Limit) -> bool:
     """Whether a limit has a second integrator, see `reference.second`: all that is plain light transport."""
     plain = Limit(limit.term, scope=limit.scope, factor=limit.factor, lobe=limit.lobe, ambient=limit.ambient)
-    by_mitsuba = scene.ignore == "face" and scene.normals == "viewer"
+    by_mitsuba = scene.ignore == "face" and scene.normals == "viewer" and not scene.unshadowing
     is_there = limit.term != "transmission" or bool(scene.transparent)
     return limit == plain and limit.term in _SECOND and by_mitsuba and is_there
 

@@ -11,7 +11,8 @@ every map has its own.
 Roulette survives with `P = min(0.99, largest channel of the albedo)`; a survivor is scattered with cosine density
 about the normal n that is shaded, turned with the chance s that light crosses, times
 `|wi·n| |wo·m| / (|wi·m| |wo·n|)` where that is not the face's own m: light and importance see different cosines (Veach
-1997, equation 5.19).
+1997, equation 5.19). Where glass casts no shadow, what comes straight from a light lands on it and flies on besides, a
+photon for each.
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false
@@ -78,6 +79,7 @@ class Surfaces(NamedTuple):
     faces : the triangles.
     albedo : (F + 1, 3), `color (1 - g)` of each face, of an image the largest; the last, black, is that of a miss.
     crossing : (F + 1,), the share s of it that leaves on the other side.
+    passing : (F + 1, 3), what is left behind the face of light that comes straight; 0 where it casts a shadow.
     survival : (F + 1,), `P = min(MAX_SURVIVAL, largest channel of the albedo)`.
     emitters : all of them.
     varies : whether any albedo is an image's.
@@ -88,6 +90,7 @@ class Surfaces(NamedTuple):
     faces: Faces
     albedo: np.ndarray
     crossing: np.ndarray
+    passing: np.ndarray
     survival: np.ndarray
     emitters: tuple[Emitter, ...]
     varies: bool
@@ -117,8 +120,8 @@ def render(loaded: Any, limit: dict[str, Any], *, spp: int, seed: int) -> np.nda
     width, height = description["camera"]["resolution"]
     image = np.zeros((height * width, 3))
     if description["has_lights"]:
-        varying, lamps = loaded.description["varying"], loaded.description["lamp_means"]
-        surfaces = surfaces_of(loaded.scenes["direct"], loaded.description["parts"], varying, lamps)
+        told = (description[name] for name in ("parts", "varying", "lamp_means", "passing"))
+        surfaces = surfaces_of(loaded.scenes["direct"], *told)
         dark = shadows.rule(loaded, limit, "direct")
         sights = _sights(loaded, limit, spp, seed)
         count = kernel["photons"]
@@ -243,11 +246,13 @@ def surfaces_of(
     parts: list[list[list[int]]],
     varying: Sequence[list[float] | None] = (),
     lamps: Sequence[list[float] | None] = (),
+    passing: Sequence[list[float]] = (),
 ) -> Surfaces:
     """Read the triangles and their albedos back from a scene of diffuse meshes, and whose they are from its parts.
 
     `varying` : of each shape whose albedo is an image's the largest; None of others.
     `lamps` : of each shape whose radiance is an image's its mean; None of others.
+    `passing` : of each shape what it leaves of the light on shadow rays; nothing where all occlude.
     """
     frontal = dr.zeros(mi.SurfaceInteraction3f)
     frontal.wi = mi.Vector3f(0.0, 0.0, 1.0)
@@ -269,8 +274,9 @@ def surfaces_of(
     of_faces = np.array([*albedo, np.zeros(3)])[[*owner, -1]]
     survival = np.minimum(of_faces.max(axis=1), MAX_SURVIVAL)
     of_sides = np.array([*crossing, 0.0])[[*owner, -1]]
+    left = np.array([*(passing[: len(counts)] or np.zeros((len(counts), 3))), np.zeros(3)])[[*owner, -1]]
     varies = any(most is not None for most in varying)
-    return Surfaces(scene, first, faces, of_faces, of_sides, survival, emitters_of(scene, faces, lamps), varies)
+    return Surfaces(scene, first, faces, of_faces, of_sides, left, survival, emitters_of(scene, faces, lamps), varies)
 
 
 def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hits: bool, weighted: bool) -> Photons:
@@ -284,15 +290,16 @@ def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hit
     """
     origin, direction, power = _emitted(surfaces.emitters, rng, count)
     landed = [Photons(*np.zeros((3, 0, 3)), np.zeros(0, np.int64))]
-    kept = first_hits
+    straight = np.ones(len(origin), bool)
     while len(origin):
         hit, albedo = _hits(surfaces, origin, direction)
         survival = np.minimum(albedo.max(axis=1), MAX_SURVIVAL)
         # Most photons of a point light meet nothing: what follows is of the others alone.
         here = np.flatnonzero(surfaces.survival[hit.face])
-        if kept:
-            landed.append(Photons(hit.position[here], -direction[here], power[here], hit.face[here]))
-        kept = True
+        kept = here[first_hits | ~straight[here]]
+        if len(kept):
+            landed.append(Photons(hit.position[kept], -direction[kept], power[kept], hit.face[kept]))
+        through = _flown_on(surfaces, hit, direction, power, straight)
         alive = here[rng.random(len(here)) < survival[here]]
         face = hit.face[alive]
         came, normal = -direction[alive], surfaces.faces.normals[face]
@@ -307,7 +314,22 @@ def trace(surfaces: Surfaces, rng: np.random.Generator, *, count: int, first_hit
             power = power * _adjoint(surfaces.faces.smooth[face], came, direction, hit.normal[alive], normal)
         if weighted:
             power = power * (albedo[alive] / survival[alive, None])
+        straight = np.zeros(len(origin), bool)
+        if len(through[0]):
+            straight = np.concatenate([straight, np.ones(len(through[0]), bool)])
+            origin, direction, power = map(np.concatenate, zip((origin, direction, power), through, strict=True))
     return Photons(*(np.concatenate(column) for column in zip(*landed, strict=True)))
+
+
+def _flown_on(
+    surfaces: Surfaces, hit: Points, direction: np.ndarray, power: np.ndarray, straight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Origins, directions and powers (M, 3) of what flies on, of light that came straight to glass without a shadow."""
+    flies = np.flatnonzero(straight & surfaces.passing[hit.face].any(axis=1))
+    face, way = hit.face[flies], direction[flies]
+    normal = surfaces.faces.normals[face]
+    origin = hit.position[flies] + (LIFT * np.sign(_dot(way, normal)))[:, None] * normal
+    return origin, way, power[flies] * surfaces.passing[face]
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -7,7 +7,8 @@ length: neither face is met again, and whatever else lies between blocks it.
 
 By default a surface is shaded from the viewer's side, as `twosided` does. With `ignore = "object"` a ray flies on
 through the faces of the object that it leaves; with `normals = "face"` a surface is shaded about its own normal, from
-whichever side it is seen.
+whichever side it is seen. Some glass casts no shadow: of light that comes straight through each of its faces leaves a
+share.
 """
 
 from typing import Any
@@ -16,6 +17,7 @@ import drjit as dr
 import mitsuba as mi
 
 from . import bsdf
+from .wavefront import shape_pointer
 
 OWN_FACES = 64  # of the object that a ray leaves, that it may cross
 # At the canonical scale no coordinate of a vertex exceeds 50. A point is the sum of three of them by barycentric
@@ -25,8 +27,9 @@ TINY = 1e-20  # keeps a division defined between two points that are one
 
 
 def plain(loaded: Any) -> bool:
-    """Whether both settings are those of Mitsuba's own integrators."""
-    return loaded.description["ignore"] == "face" and loaded.description["normals"] == "viewer"
+    """Whether rays and normals are those of Mitsuba's own integrators."""
+    described = loaded.description
+    return described["ignore"] == "face" and described["normals"] == "viewer" and not described["passing"]
 
 
 def side(loaded: Any, si: Any) -> Any:
@@ -91,6 +94,42 @@ def blocked(loaded: Any, scene: Any, si: Any, ray: Any, active: Any) -> Any:
         return scene.ray_test(ray, active)
     _, met = _through(scene, si.shape, ray, scene.ray_intersect(ray, active), active)
     return met.is_valid()
+
+
+def arriving(loaded: Any, scene: Any, si: Any, ray: Any, light: Any, active: Any) -> Any:
+    """What arrives at `si`, as in `blocked`, of light that comes against a ray, mi.Color3f."""
+    if not loaded.description["passing"]:
+        return dr.select(blocked(loaded, scene, si, ray, active), 0.0, light)
+    shares = [
+        (shape_pointer(shape), dr.opaque(mi.Color3f, share))
+        for shape, share in zip(scene.shapes(), loaded.description["passing"], strict=True)
+        if any(share)
+    ]
+
+    def share_of(met: Any) -> Any:
+        found = mi.Color3f(0.0)
+        for shape, share in shares:
+            found = dr.select(met.shape == shape, share, found)
+        return found
+
+    return light * _left_beyond(scene, share_of, ray, active)
+
+
+@dr.syntax
+def _left_beyond(scene: Any, share_of: Any, ray: Any, active: Any) -> Any:
+    """The product of the shares of what a ray meets."""
+    ray, left = mi.Ray3f(ray), mi.Color3f(1.0)
+    ends = ray.maxt < dr.largest(mi.Float)
+    end = ray(dr.select(ends, ray.maxt, 0.0))
+    met = scene.ray_intersect(ray, active)
+    flying = mi.Bool(active & met.is_valid())
+    while flying:
+        left *= dr.select(flying, share_of(met), 1.0)
+        flying &= dr.any(left != 0.0)
+        ray = dr.select(ends, segment(met, end, mi.Normal3f(0.0)), spawn(met, ray.d))
+        met = scene.ray_intersect(ray, flying)
+        flying &= met.is_valid()
+    return left
 
 
 @dr.syntax

@@ -28,7 +28,14 @@ from termwise.scenes.store import ROOT, sources_digest, versions_of, write_atomi
 from termwise.scenes.terms import Term
 
 # What full light transport leaves out of a scene.
-_NOT_PHYSICAL = ("ambient.color", "ambient.range", "ambient.source", "max_bounces", "draw_lights")
+_NOT_PHYSICAL = (
+    "ambient.color",
+    "ambient.range",
+    "ambient.source",
+    "max_bounces",
+    "draw_lights",
+    "objects.material.occludes",
+)
 
 
 class Replicates(NamedTuple):

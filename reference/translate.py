@@ -117,6 +117,7 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "normals": scene.normals,
         "translucent": bool(scene.translucent),
         "transparent": bool(scene.transparent),
+        "passing": _passing(scene, shapes),
         "max_bounces": scene.max_bounces if scene.toggles.reflections or scene.transparent else 0,
         "has_lights": scene.has_lights,
         "diffuse": [
@@ -138,6 +139,14 @@ def describe(scene: Scene, folder: Path) -> dict[str, Any]:
         "parts": parts,
         "scenes": {role: _scene(scene, shapes, role, canonical) for role in _roles(scene)},
     }
+
+
+def _passing(scene: Scene, shapes: tuple[Object, ...]) -> list[list[float]]:
+    """What each shape leaves of the light on shadow rays; nothing where all shapes occlude."""
+    if not scene.unshadowing:
+        return []
+    of_shapes = [list(scene.passing_weight(thing.surface)) for thing in shapes]
+    return of_shapes + [[0.0] * 3 for _ in scene.spheres]
 
 
 def _roles(scene: Scene) -> list[Role]:

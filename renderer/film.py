@@ -11,8 +11,8 @@ from termwise.renderer.jit import device, kernel
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sobol import Sampler
-from termwise.renderer.surface import occlude_wave, trace, trace_wave
-from termwise.renderer.vector import Vec3, column, length, put, put_column, sub, vec3
+from termwise.renderer.surface import arriving_hidden, occlude_wave, trace, trace_wave
+from termwise.renderer.vector import Vec3, add, column, length, put, put_column, sub, vec3
 
 # Samples of a pixel that have a camera ray each: edges need some before the rest shares.
 ALONE = 4
@@ -215,9 +215,20 @@ def resolve_occlusion(
         occlude_wave(scene, scratch.rays, asking, far, coherent, scratch)
         for k in range(asking):
             if scratch.rays.found[k]:
-                put(scratch.radiance, scratch.lane[k], vec3(scratch.hidden, scratch.lane[k]))
+                lane = scratch.lane[k]
+                put(scratch.radiance, lane, _hidden(scene, scene.materials.passing, k, lane, far, scratch))
     for i in range(waiting):
         accumulate(out, scratch.row[i], scratch.column[i], vec3(scratch.radiance, i))
+
+
+@device
+def _hidden(scene: SceneArrays, passing: np.ndarray | None, k: int, lane: int, far: float, scratch: Scratch) -> Vec3:
+    """Radiance of a sample whose ray k something lies on."""
+    hidden = vec3(scratch.hidden, lane)
+    if passing is not None:
+        light = sub(vec3(scratch.radiance, lane), hidden)
+        return add(hidden, arriving_hidden(scene, light, scratch.rays, k, far, scratch))
+    return hidden
 
 
 class GeometryImages(NamedTuple):

@@ -66,6 +66,8 @@ class Materials(NamedTuple):
     translucency : (O,), share of the diffuse part that crosses; None of a scene that has no such object, whose kernels
         are compiled without.
     dielectrics : None of a scene that has none; so are its kernels.
+    passing : (O, 3), what is left beyond of light on shadow and occlusion rays, and on a photon's way from its light; 0
+        behind what occludes. None of a scene in which all does; so are its kernels.
     """
 
     color: np.ndarray
@@ -78,6 +80,7 @@ class Materials(NamedTuple):
     textures: Textures | None
     translucency: np.ndarray | None
     dielectrics: Dielectrics | None
+    passing: np.ndarray | None
 
 
 _BELOW_ONE = 1.0 - 2.0**-53
@@ -99,6 +102,7 @@ def from_scene(scene: Scene, without: Collection[str]) -> Materials:
         textures.from_scene(scene),
         np.array([surface.translucency for surface in surfaces]) if scene.translucent else None,
         _dielectrics(scene),
+        np.array([scene.passing_weight(surface) for surface in surfaces]) if scene.unshadowing else None,
     )
 
 

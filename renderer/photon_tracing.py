@@ -47,7 +47,7 @@ _STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pi
 _VERTEX = 16  # keys of a photon's vertices: beyond the pairs of its emission
 _PHOTON = 1 << 32  # keys of photons that have a sequence each: beyond those of the vertices
 _PLACE, _WAY = 1, 2
-_ROULETTE, _DIRECTION, _LOBE, _CHOICE = 0, 1, 2, 3
+_ROULETTE, _DIRECTION, _LOBE, _CHOICE, _PASSES = 0, 1, 2, 3, 4
 
 
 class Scattering(NamedTuple):
@@ -153,6 +153,27 @@ def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sa
     return heading, scale(factor, _shading_ratio(scene, surface, surface.wo, heading))
 
 
+@device
+def _pass(
+    scene: SceneArrays, passing: np.ndarray | None, straight: bool, surface: Surface, sampler: Sampler
+) -> tuple[bool, Vec3]:
+    """Whether a photon that comes straight from its light flies on through a surface, and the factor on its flux.
+
+    It is the light of shadow rays, which goes through what does not occlude, and is scattered there besides: one of the
+    two by chance.
+    """
+    if passing is not None and straight:
+        left = vec3(passing, surface.object)
+        share = max_component(left)
+        if share > 0.0:
+            share /= share + max_component(diffuse_weight(scene, surface))
+            if sample_1d(sampler, _PASSES) < share:
+                return True, scale(left, 1.0 / share)
+            chance = 1.0 / (1.0 - share)
+            return False, Vec3(chance, chance, chance)
+    return False, Vec3(1.0, 1.0, 1.0)
+
+
 @kernel
 def _trace_photons(
     scene: SceneArrays,
@@ -178,11 +199,12 @@ def _trace_photons(
         place, way = sample_2d(emission, _PLACE), sample_2d(emission, _WAY)
         origin, heading, flux, origin_face = emit_photon(scene, rule.aimed, place, way)
         depth = 0
+        straight = True
         while not is_black(flux):
             surface = trace(scene, make_ray(origin, heading), origin_face, scratch)
             if surface.face < 0:
                 break
-            if (depth > 0 or first_hits) and holds_photons(scene, surface):
+            if (not straight or first_hits) and holds_photons(scene, surface):
                 if landed < len(face):
                     position[landed, 0] = surface.point.x
                     position[landed, 1] = surface.point.y
@@ -197,8 +219,11 @@ def _trace_photons(
                 landed += 1
             depth += 1
             branch = _sampler(rule, fold(key, _VERTEX + depth), index)
-            heading, factor = _scatter(scene, rule, surface, branch)
+            straight, factor = _pass(scene, scene.materials.passing, straight, surface, branch)
             flux = mul(flux, factor)
+            if not straight:
+                heading, factor = _scatter(scene, rule, surface, branch)
+                flux = mul(flux, factor)
             origin = surface.point
             origin_face = surface.face
     return landed

@@ -486,6 +486,9 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
     if scene.translucent and crossed:
         names = _names([thing.name for thing in scene.translucent])
         steps.append(Step(term, "light of the other side", "runs", f"it crosses {names}"))
+    if scene.unshadowing and crossed:
+        names = _names([thing.name for thing in scene.unshadowing])
+        steps.append(Step(term, "light through glass", "runs", f"shadow and occlusion rays go through {names}"))
     if scene.transparent and TABLE[term].meets:
         names = _names([thing.name for thing in scene.transparent])
         steps.append(Step(term, "light of both lobes", "runs", f"chains are reflected by {names} or go through"))

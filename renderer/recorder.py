@@ -113,6 +113,10 @@ class Recorder:
             hidden = bool(given.wave.found[i])
             self.note("occlusion ray", direction=column(given.wave.directions, i), hidden=hidden)
 
+    def left_beyond(self, given: Any, left: Any, caller: FrameType) -> None:
+        """What is left of light on a ray that goes through glass, or meets what hides it."""
+        self.note("goes through", left=left)
+
     def pick(self, given: Any, picked: Any, caller: FrameType) -> None:
         """Which light."""
         self._emitter, self._probability, _ = picked
@@ -237,6 +241,7 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     surface.shadowed,
     surface.occluded,
     surface.occlude_wave,
+    surface.left_beyond,
     ambient.sample_hemisphere,
     ambient.sky_light,
     ambient.ambient_light,

@@ -7,16 +7,20 @@ travelled; rays that leave it skip this face (or its object, see `Scene.ignore`)
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from termwise.renderer import spheres
 from termwise.renderer.arrays import SceneArrays, ShadowRule
 from termwise.renderer.geometry import paper, rays
 from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
 from termwise.renderer.geometry.wave import Wave, hit_of, put_hit
-from termwise.renderer.jit import device
+from termwise.renderer.jit import device, subroutine
 from termwise.renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
 from termwise.renderer.spheres import Spheres
 from termwise.renderer.triangles import Geometry, point_on_face, shading_normal
-from termwise.renderer.vector import Vec3, column, dot, entry, negate, put_column, sub, vec3
+from termwise.renderer.vector import Vec3, column, dot, entry, is_black, length, mad, mul, negate, put_column, sub, vec3
+
+SAME = 2.0**-32  # of how far off and how long a way is: two points that are no further apart are one, rounded
 
 
 class Surface(NamedTuple):
@@ -57,11 +61,14 @@ def _leaving(scene: SceneArrays, face: int) -> FaceRange:
 @device
 def closest(scene: SceneArrays, ray: Ray, far: float, face: int, scratch: Scratch) -> Hit:
     """Nearest hit of a ray that leaves a face (-1: none)."""
-    geometry = scene.geometry
     scratch.counts[RAYS] += 1
-    ignore = _leaving(scene, face)
-    if scene.watertight:
-        hit = rays.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, scratch.stack)
+    return _nearest(scene.geometry, scene.watertight, ray, far, _leaving(scene, face), scratch.stack)
+
+
+@device
+def _nearest(geometry: Geometry, watertight: bool, ray: Ray, far: float, ignore: FaceRange, stack: np.ndarray) -> Hit:
+    if watertight:
+        hit = rays.closest_hit(geometry.corners, geometry.tree, ray, far, ignore, stack)
     else:
         hit = paper.closest_hit(geometry.corners, ray, far, ignore)
     return spheres.nearer(geometry.spheres, ray.origin, ray.direction, far, ignore, hit)
@@ -147,6 +154,92 @@ def occluded(scene: SceneArrays, surface: Surface, direction: Vec3, far: float, 
     else:
         found = paper.any_hit(geometry.corners, ray, far, ignore, target)
     return found or spheres.between(geometry.spheres, ray.origin, ray.direction, far, ignore, target)
+
+
+@subroutine
+def left_beyond(
+    geometry: Geometry,
+    passing: np.ndarray,
+    watertight: bool,
+    point: Vec3,
+    face: int,
+    direction: Vec3,
+    far: float,
+    target: int,
+    stack: np.ndarray,
+    counts: np.ndarray,
+) -> Vec3:
+    """What is left of light on a way on which something lies, from a point of a face: the product of `passing`.
+
+    Surface by surface, for few rays meet more than the two of a pane. Through an edge a ray meets two faces in one
+    place: from the same side that is one passage, and it goes on behind, or it would meet them in turn for ever.
+    """
+    left = Vec3(1.0, 1.0, 1.0)
+    last, outwards, travelled = -1, False, 0.0
+    for _ in range(2 * len(geometry.object)):
+        counts[RAYS] += 1
+        hit = _nearest(geometry, watertight, make_ray(point, direction), far, FaceRange(face, face + 1), stack)
+        if hit.face < 0 or hit.face == target or hit.t >= far:
+            break
+        thing = entry(geometry.object, hit.face)
+        share = vec3(passing, thing)
+        if is_black(share):
+            return share
+        leaves = dot(vec3(geometry.normals, hit.face), direction) > 0.0
+        step, place = hit.t, SAME * (travelled + length(point) / length(direction))
+        again = thing == last and step <= place
+        if not (again and leaves == outwards):
+            left = mul(left, share)
+        point = _place(geometry, geometry.spheres, hit)
+        if again:
+            point = mad(direction, place, point)
+            step += place
+        last, outwards = thing, leaves
+        travelled += step
+        far -= step
+        face = hit.face
+    return left
+
+
+@device
+def beyond(
+    scene: SceneArrays,
+    passing: np.ndarray | None,
+    radiance: Vec3,
+    point: Vec3,
+    face: int,
+    direction: Vec3,
+    far: float,
+    target: int,
+    scratch: Scratch,
+) -> Vec3:
+    """What is left of a radiance behind what lies on its way to a point of a face."""
+    if passing is not None:
+        stack, counts = scratch.stack, scratch.counts
+        left = left_beyond(
+            scene.geometry, passing, scene.watertight, point, face, direction, far, target, stack, counts
+        )
+        return mul(radiance, left)
+    return Vec3(0.0, 0.0, 0.0)
+
+
+@device
+def arriving(
+    scene: SceneArrays, radiance: Vec3, surface: Surface, direction: Vec3, far: float, target: int, scratch: Scratch
+) -> Vec3:
+    """What arrives at a surface of the light that comes from a direction; `far`, `target` as in `occluded`."""
+    if occluded(scene, surface, direction, far, target, scratch):
+        passing = scene.materials.passing
+        return beyond(scene, passing, radiance, surface.point, surface.face, direction, far, target, scratch)
+    return radiance
+
+
+@device
+def arriving_hidden(scene: SceneArrays, radiance: Vec3, wave: Wave, i: int, far: float, scratch: Scratch) -> Vec3:
+    """What arrives of the light of ray i of a wave, on which something lies: see `occlude_wave`."""
+    point, direction = column(wave.origins, i), column(wave.directions, i)
+    face, target = entry(wave.first, i), entry(wave.target, i)
+    return beyond(scene, scene.materials.passing, radiance, point, face, direction, far, target, scratch)
 
 
 @device

@@ -147,6 +147,7 @@ class _Placed:
     ior: float = model.Material().ior
     tint: model.Color = model.Material().tint
     fresnel: model.Fresnel = model.Material().fresnel
+    occludes: bool = model.Material().occludes
     emission: model.Color | _Image = cast(model.Color, model.BLACK)
 
     def __attrs_post_init__(self) -> None:

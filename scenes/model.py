@@ -112,6 +112,12 @@ _integer = _converter(lambda value, field: _plain(int, value, field))
 _triple = _several(float, 3)
 
 
+def _truth(value: Any, field: Any) -> bool:
+    if not isinstance(value, bool | np.bool_):
+        _refuse(field, value, "True or False")
+    return bool(value)
+
+
 def _or_texture(plain: Any, channels: int) -> Callable[[Any], Any]:
     """A converter that leaves an image of so many channels as it is."""
 
@@ -171,6 +177,9 @@ class Material:
     fresnel : "schlick", F of `f0`, or "dielectric", F of `ior`: exact, unpolarised, total reflection included. "auto"
         is "dielectric" of what is transparent, which can be nothing else, and "schlick" of what is not. Both sides of
         an opaque surface are its outside.
+    occludes : whether a transparent surface hides lights and ambient light, which refract in it, from shadow and
+        occlusion rays. Else these go through it straight, with the weight `transparency tint` at every passage, as
+        through thin glass; photons on their way from a light do too.
 
     Color, gloss and roughness may be a `Texture`, of 3 channels, 1 and 1, of an opaque surface.
     """
@@ -188,10 +197,13 @@ class Material:
     ior: float = attrs.field(converter=_number, default=1.5, validator=in_range(0.1, 10.0))
     tint: Color = attrs.field(converter=_triple, default=(1.0, 1.0, 1.0), validator=unit_interval)
     fresnel: Fresnel = attrs.field(default=cast(Fresnel, "auto"), validator=_fresnel)
+    occludes: bool = attrs.field(converter=_converter(_truth), default=True)
 
     def __attrs_post_init__(self) -> None:
-        """Refuse what a transparent surface cannot have."""
+        """Refuse what a transparent surface cannot have, and an opaque one that casts no shadow."""
         if self.transparency == 0.0:
+            if not self.occludes:
+                raise ValueError("occludes = False: allowed is True with transparency = 0.0")
             return
         if self.fresnel == "schlick":
             raise ValueError(f"fresnel = 'schlick': allowed is 'dielectric' with transparency = {self.transparency!r}")
@@ -773,6 +785,11 @@ class Scene:
                     f"objects: {thing.name!r}: transparency = {thing.material.transparency!r}: allowed is 0 where the "
                     f"scene has {name} = {rule!r}, {why}"
                 )
+        if self.photons.scattering == "full" and self.unshadowing:
+            raise ValueError(
+                f"objects: {self.unshadowing[0].name!r}: occludes = False: allowed is True where the scene has "
+                "photons.scattering = 'full', by which the same light arrives refracted"
+            )
         if self.shadows == "paper":
             for number, light in enumerate(self.lights):
                 if light.centre is None:
@@ -831,6 +848,15 @@ class Scene:
     def transparent(self) -> tuple[Object, ...]:
         """The objects that light is refracted into, whether their tint leaves any of it or not."""
         return tuple(thing for thing in self.objects if thing.surface.transparency > 0.0)
+
+    @property
+    def unshadowing(self) -> tuple[Object, ...]:
+        """The objects that shadow and occlusion rays go through."""
+        return tuple(thing for thing in self.objects if not thing.surface.occludes)
+
+    def passing_weight(self, material: Material) -> Color:
+        """What is left of light beyond the surface on a shadow or occlusion ray: black behind what occludes."""
+        return BLACK if material.occludes else self.transmission_weight(material)
 
     @property
     def translucent(self) -> tuple[Object, ...]:

@@ -141,6 +141,13 @@ _DIELECTRIC = (
     "objects.material.tint",
     "objects.material.transparency",
 )
+# Of all transparent surfaces as soon as shadow rays go through one.
+_PASSING = read(
+    "objects.material.occludes",
+    "objects.material.tint",
+    "objects.material.transparency",
+    when=lambda scene: bool(scene.unshadowing),
+)
 # Center and radius of a sphere are in every key, as meshes are: its black surface hides things from all terms.
 _LIGHTS = (
     "lights.position",
@@ -183,6 +190,7 @@ TABLE: dict[Term, TermRow] = {
                 _EMITTERS,
                 _DIFFUSE,
                 read(*_LIGHTS, "objects.material.color", when=_by_lights),
+                _PASSING,
             ),
             limit=("occluded", "rings", "shadows"),
         ),
@@ -200,6 +208,7 @@ TABLE: dict[Term, TermRow] = {
                 _DIFFUSE,
                 read(*_MATERIAL, when=_scatters_fully),
                 read(*_DIELECTRIC, when=lambda scene: _scatters_fully(scene) and _dielectric(scene)),
+                _PASSING,
             ),
             scoped=True,
             limit=("scope", "kernel", "shadows"),

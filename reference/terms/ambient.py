@@ -65,7 +65,7 @@ def incoming(loaded: Any, limit: dict[str, Any], *, occlusion_rays: int = RAYS) 
                 continue
             if reach < UNBOUNDED:
                 occlusion_ray.maxt = dr.opaque(mi.Float, reach)
-            seen += dr.select(rays.blocked(loaded, scene, si, occlusion_ray, active), 0.0, sent)
+            seen += rays.arriving(loaded, scene, si, occlusion_ray, sent, active)
         return dr.select(active, albedo * (seen / occlusion_rays), 0.0)
 
     return radiance

@@ -30,7 +30,7 @@ from termwise.renderer.scratch import Scratch
 from termwise.renderer.sky import sky_radiance
 from termwise.renderer.sky_light import SkyMap, sky_light
 from termwise.renderer.sobol import Sampler, sample_2d
-from termwise.renderer.surface import Surface, occluded, put_occlusion_ray, shadowed, surface_of
+from termwise.renderer.surface import Surface, arriving, put_occlusion_ray, shadowed, surface_of
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
 from termwise.renderer.vector import Vec3, column, frame, is_black, mul, negate, put, put_column, scale, to_world, vec3
@@ -121,9 +121,7 @@ def ambient_radiance(
     u, v = sample_2d(sampler, OCCLUSION)
     normal, u = sampled_side(scene.materials.translucency, surface, u)
     direction, weight = _by_direction(scene, scene.sky_map, rule, surface.point, normal, u, v)
-    if occluded(scene, surface, direction, ambient_reach(scene, rule), -1, scratch):
-        return Vec3(0.0, 0.0, 0.0)
-    return mul(radiance, weight)
+    return arriving(scene, mul(radiance, weight), surface, direction, ambient_reach(scene, rule), -1, scratch)
 
 
 @device

@@ -27,8 +27,9 @@ from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
 from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
 from termwise.renderer.surface import (
     Surface,
+    arriving,
+    arriving_hidden,
     occlude_wave,
-    occluded,
     put_leaving_ray,
     shadowed,
     surface_of,
@@ -95,9 +96,7 @@ def _light_of_side(scene: SceneArrays, surface: Surface, u: float, v: float, scr
     irradiance, direction, target = sample_light(scene, surface, u, v)
     if scene.skips.horizon and is_black(irradiance):
         return irradiance
-    if occluded(scene, surface, direction, 1.0, target, scratch):
-        return Vec3(0.0, 0.0, 0.0)
-    return irradiance
+    return arriving(scene, irradiance, surface, direction, 1.0, target, scratch)
 
 
 @device
@@ -391,7 +390,12 @@ def _arrive(scene: SceneArrays, count: int, coherent: bool, scratch: Scratch) ->
         occlude_wave(scene, scratch.rays, asking, 1.0, coherent, scratch)
     for k in range(asking):
         if scratch.rays.found[k]:
-            put(scratch.radiance, scratch.lane[k], Vec3(0.0, 0.0, 0.0))
+            lane = scratch.lane[k]
+            put(
+                scratch.radiance,
+                lane,
+                arriving_hidden(scene, vec3(scratch.radiance, lane), scratch.rays, k, 1.0, scratch),
+            )
 
 
 @device

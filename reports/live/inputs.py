@@ -186,6 +186,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
                     Input((*material, "ior"), "index of refraction", "", "inside over outside", 1.0, 3.0),
                     *_triple((*material, "tint"), "tint", "", "of what goes through", "RGB", high=1.0),
                     Input((*material, "fresnel"), "F is that of", choices=get_args(Fresnel)),
+                    Input((*material, "occludes"), "casts a shadow, if transparent"),
                 ],
             )
 

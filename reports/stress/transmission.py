@@ -18,6 +18,7 @@ import numpy as np
 import trimesh
 
 from termwise.renderer import Engine, find, render
+from termwise.renderer.arrays import SceneArrays, from_scene
 from termwise.renderer.dielectric import (
     EITHER,
     REFLECTED,
@@ -28,7 +29,10 @@ from termwise.renderer.dielectric import (
     refract,
     sample_interface,
 )
-from termwise.renderer.vector import Vec3
+from termwise.renderer.jit import kernel
+from termwise.renderer.scratch import Scratch, new_scratch
+from termwise.renderer.surface import beyond
+from termwise.renderer.vector import Vec3, put, vec3
 from termwise.reports.stress.row import Row
 from termwise.reports.stress.shading import ALPHAS, COSINES, _direction, _g1, _points
 from termwise.scenes.analytic import plate
@@ -331,7 +335,49 @@ def hidden(count: int) -> Iterator[Row]:
         yield Row(f"a lamp inside of glass, {term}", "numbers of the image that are not 0", 0.0, seen)
 
 
+@kernel
+def _left(
+    scene: SceneArrays, origin: np.ndarray, ways: np.ndarray, far: np.ndarray, out: np.ndarray, scratch: Scratch
+) -> None:
+    """What is left (N, 3) of light on ways (N, 3) from a point (1, 3) to `far` (N,) times their length."""
+    for i in range(len(ways)):
+        passing, light, middle = scene.materials.passing, Vec3(1.0, 1.0, 1.0), vec3(origin, 0)
+        put(out, i, beyond(scene, passing, light, middle, -1, vec3(ways, i), far[i], -1, scratch))
+
+
+def passages(count: int) -> Iterator[Row]:
+    """Light out of the middle of boxes in one another that cast no shadow loses its share in each, and no more.
+
+    Through edges and vertices too, where up to six faces are met in one place. Shares are powers of two.
+    """
+    shells, tint = 6, (0.5, 1.0, 0.25)
+    thin = _glass(1.5, tint=tint, occludes=False)
+    for scale, offset in itertools.product((1e-6, 1.0, 1e6), (0.0, 100.0)):
+
+        def wrong(scale: float = scale, offset: float = offset) -> float:
+            middle = scale * offset * np.array([1.0, -0.5, 0.25])
+            meshes = [trimesh.creation.box(extents=(scale * (n + 1.0),) * 3) for n in range(shells)]
+            meshes = [Mesh.from_arrays(mesh.vertices + middle, mesh.faces) for mesh in meshes]
+            x, y, z = middle.tolist()
+            camera = Camera((x + 0.03 * scale, y + 0.05 * scale, z), (x, y, z))
+            things = tuple(Object(f"box {n}", mesh, thin) for n, mesh in enumerate(meshes))
+            arrays, scratch = from_scene(Scene("boxes", camera, things)), new_scratch()
+            rng = np.random.default_rng(45)
+            first, second = (meshes[-1].vertices - middle)[rng.integers(8, size=(2, max(32, count // 16)))]
+            ways = first + (second - first) * rng.choice([0.0, 0.25, 0.5, 0.7], (len(first), 1))
+            reach = np.abs(ways).max(axis=1)
+            ways, reach = ways[reach > 0.1 * scale], reach[reach > 0.1 * scale]  # one to the middle leads nowhere
+            bad, found = 0, np.empty_like(ways)
+            for passed in (1, 3, shells):
+                _left(arrays, middle[None], ways, 0.5 * (passed + 0.5) * scale / reach, found, scratch)
+                bad += int((found != np.array(tint) ** passed).any(axis=1).sum())
+            return float(bad)
+
+        name = f"boxes without a shadow, scale {scale:g}, {offset:g} sizes away"
+        yield Row(name, "ways whose light is not that of one passage a box", 0.0, wrong)
+
+
 def rows(count: int) -> Iterator[Row]:
     """All rows of the group."""
-    for make in (fresnel, snell, weights, nothing, kept, energy, reciprocity, furnaces, hidden):
+    for make in (fresnel, snell, weights, nothing, kept, energy, reciprocity, furnaces, hidden, passages):
         yield from make(count)

@@ -75,7 +75,7 @@ def diffuse(scene: Scene) -> Scene:
     """The scene with every gloss, translucency and transparency 0: what every format and renderer can say exactly."""
 
     def plain(thing: Object) -> Object:
-        none = {"gloss": 0.0, "translucency": 0.0, "transparency": 0.0, "fresnel": "auto"}
+        none = {"gloss": 0.0, "translucency": 0.0, "transparency": 0.0, "fresnel": "auto", "occludes": True}
         return attrs.evolve(thing, material=attrs.evolve(thing.material, **none))
 
     return attrs.evolve(scene, objects=tuple(map(plain, scene.objects)))
@@ -150,7 +150,7 @@ def _object(scene: Scene, thing: Object, lit: bool) -> dict[str, Any]:
     surface = thing.surface if scene.toggles.reflections else attrs.evolve(thing.surface, gloss=0.0)
     mapped = {"uv": thing.mesh.uv.tolist()} if thing.mesh.uv is not None and thing.images else {}
     # An older reader is told of nothing that he would not understand.
-    unsaid = [] if thing in scene.translucent else ["translucency"]
+    unsaid = ["occludes"] + ([] if thing in scene.translucent else ["translucency"])
     unsaid += [] if surface.transparency > 0.0 else ["transparency", "tint"]
     unsaid += [] if surface.dielectric else ["fresnel", "ior"]
     said = [field.name for field in attrs.fields(type(surface)) if field.name not in unsaid]
@@ -207,6 +207,10 @@ def left_out(scene: Scene) -> list[str]:
     lamps += [f"the {kind}" for kind in dict.fromkeys(seen) if scene.toggles.lighting]
     found = [
         *((True, "lights", light, "a sphere that does not shine hides nothing") for light in dark),
+        *(
+            (True, f"objects: {thing.name!r}: occludes", False, "light comes through refracted, and leaves a shadow")
+            for thing in scene.unshadowing
+        ),
         (any(scene.ambient.color), "ambient", scene.ambient.color, "the paper's ambient light is no light transport"),
         (scene.ambient.source == "sky", "ambient.source", "sky", "the sky lights all surfaces, and they each other"),
         (bool(lamps) and not scene.draw_lights, "draw_lights", False, f"the camera sees {', '.join(lamps)} shine"),

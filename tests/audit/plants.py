@@ -116,6 +116,9 @@ LEAF_PHOTONS = Case("leaf", "direct", "photon-map", samples=16)
 GLASS = Case("deep glass", "transmission", "vndf", samples=256)
 GLASS_UNIFORM = Case("deep frosted glass", "transmission", "uniform", samples=2048)
 GLASS_SPECULAR = Case("deep glass", "specular", "vndf", samples=1024)
+THIN = Case("thin glass", "direct", "path", samples=256)
+THIN_AMBIENT = Case("thin glass", "ambient", "cosine", samples=64)
+THIN_PHOTONS = Case("thin glass", "direct", "photon-map", samples=16)
 POOL = Case("pool two_cubes", "transmission", "vndf", samples=256)
 
 _AMBIENT = "renderer/terms/ambient.py"
@@ -835,6 +838,41 @@ PLANTS = (
         _DIELECTRIC,
         "sum_ = add(wo, scale(wi, eta))",
         "sum_ = add(wo, scale(wi, math.sqrt(eta)))",
+    ),
+    Plant(
+        "glass without a shadow: tinted by the last face alone",
+        THIN,
+        "renderer/surface.py",
+        "left = mul(left, share)",
+        "left = share",
+    ),
+    Plant(
+        "glass without a shadow: what is behind it hides nothing",
+        THIN_AMBIENT,
+        "renderer/surface.py",
+        "        if is_black(share):\n            return share\n",
+        "        if is_black(share):\n            break\n",
+    ),
+    Plant(
+        "glass without a shadow: an edge passed twice",
+        Test("tests/kernels/test_glass_shadows.py::test_through_an_edge_is_one_passage"),
+        "renderer/surface.py",
+        "if not (again and leaves == outwards):",
+        "if thing >= 0:",
+    ),
+    Plant(
+        "glass without a shadow: photons stop at it",
+        THIN_PHOTONS,
+        _TRACING,
+        "        if share > 0.0:\n",
+        "        if share > 1.0:\n",
+    ),
+    Plant(
+        "glass without a shadow: first hits of photons behind it counted twice",
+        Test("tests/kernels/test_glass_shadows.py::test_photons_fly_on_through_a_pane"),
+        _TRACING,
+        "if (not straight or first_hits) and",
+        "if (depth > 0 or first_hits) and",
     ),
     # Sky and camera.
     Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),

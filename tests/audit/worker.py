@@ -125,6 +125,16 @@ def _frosted(scene: Scene) -> Scene:
     return attrs.evolve(scene, objects=tuple(rough))
 
 
+def _thin(scene: Scene) -> Scene:
+    """Nothing that is transparent casts a shadow, and all of it is tinted."""
+
+    def thin(thing: Object) -> Object:
+        material = attrs.evolve(thing.material, occludes=False, tint=(0.7, 0.5, 0.9))
+        return attrs.evolve(thing, material=material) if thing.material.transparency else thing
+
+    return attrs.evolve(scene, objects=tuple(map(thin, scene.objects)))
+
+
 def _pool(scene: Scene) -> Scene:
     """Waves over all that stands on the ground, which hide the lamp; a lamp below them, and ambient light."""
     black, white = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
@@ -159,6 +169,7 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "drawn": lambda scene: attrs.evolve(scene, draw_lights=True),
     "deep": lambda scene: attrs.evolve(scene, max_bounces=8),
     "frosted": _frosted,
+    "thin": _thin,
     "pool": _pool,
     "sharp": lambda scene: attrs.evolve(scene, photons=attrs.evolve(scene.photons, kernel="epanechnikov")),
 }
@@ -174,9 +185,9 @@ class Case:
         surfaces, `turned`: the first object's faces look the other way, `smooth`: vertex normals, `lamps`: more
         lights, `spot`, `directional`, `sun`, `sphere`: of all lights those alone, `wide`: a wide sun, `plain` and
         `panorama`: another sky, `skylit`: the sky is the ambient light, `shadowed` and `bright`: choices of the paper,
-        `drawn`: lights are seen, `deep`: longer chains, `frosted`: all glass is rough, `pool`: water over all that is
-        seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces, `grained`: and their gloss and
-        roughness too, `screened`: an image on all lamps.
+        `drawn`: lights are seen, `deep`: longer chains, `frosted`: all glass is rough, `thin`: it casts no shadow,
+        `pool`: water over all that is seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces,
+        `grained`: and their gloss and roughness too, `screened`: an image on all lamps.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.

@@ -20,6 +20,7 @@ from termwise.reports.study.study import Study
 from termwise.reports.study.subjects import Subject, own_limit
 from termwise.scenes import limits
 from termwise.scenes.analytic import plate
+from termwise.scenes.limits import Kernel, Limit
 from termwise.scenes.model import Ambient, Camera, Material, Mesh, Object, Photons, Scene, Sky, Vector
 from termwise.scenes.terms import Term
 from tests.oracle.test_reference_dielectric import albedos, fresnel
@@ -210,10 +211,66 @@ ROWS: dict[str, tuple[float, Term, str, Chain, int, int, float]] = {
 def test_a_row_is_its_reference(row: str):
     """The mean of each channel, of all of the picture and of the ball."""
     roughness, term, variant, chain, samples, spp, noise = ROWS[row]
-    scene = attrs.evolve(room(roughness), photons=Photons(20_000, nearest=50))
-    subject = Subject(scene, {}, chain=chain)
-    limit = own_limit(Study(scenes=("room",), resolution=(8, 8), nearest_maps=1), subject, find(term, variant))
+    limit = judged(room(roughness), term, variant, chain, samples, spp, noise)
     assert (limit.kernel is not None) == (chain == "paper")
+
+
+# Of glass that casts no shadow: term, variant, our samples, Mitsuba's or its photon maps, and the noise that is left.
+UNSHADOWED: dict[str, tuple[Term, str, int, int, float]] = {
+    "light samples": ("direct", "path", 256, 256, 0.01),
+    "photons": ("direct", "photon-map", 8, 1, 0.04),
+    "scattered photons": ("direct", "next-event", 8, 1, 0.06),
+    "occlusion": ("ambient", "cosine", 64, 64, 0.01),
+    "beyond it": ("transmission", "vndf", 256, 128, 0.02),
+}
+
+
+def unshadowed() -> Scene:
+    scene = room()
+    things = (
+        attrs.evolve(thing, material=attrs.evolve(thing.material, occludes=False))
+        if thing in scene.transparent
+        else thing
+        for thing in scene.objects
+    )
+    return attrs.evolve(scene, objects=tuple(things))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", UNSHADOWED)
+def test_a_row_of_glass_without_a_shadow_is_its_reference(row: str):
+    term, variant, samples, spp, noise = UNSHADOWED[row]
+    limit = judged(unshadowed(), term, variant, "path", samples, spp, noise)
+    assert (limit.kernel is not None) == ("photons" in row)
+
+
+@pytest.mark.parametrize("term", ["ambient", "direct"])
+def test_light_within_a_shell_that_casts_no_shadow(term: Term):
+    """Each ray out of it leaves `t tint` of its light there, by both kinds of rays; photons too."""
+    thin = glass(g=0.5, t=0.8, tint=TINT, occludes=False)
+    floor = plate("floor", (-0.3, -0.31, -0.1), (0.6, 0.0, 0.0), (0.0, 0.62, 0.0))
+    cube = attrs.evolve(slab(Material(), size=(0.2, 0.2, 0.1)), name="cube")
+    lamp = attrs.evolve(plate("lamp", (-0.5, -0.5, 3.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)), emission=(9.0, 8.0, 7.0))
+    camera = Camera((0.1, -0.5, 0.4), (0.0, 0.0, -0.05), fov=40.0, pixel="centre")
+    bare, around = (
+        lit("shell", (floor, cube, lamp, *others), camera, photons=Photons(2000, 0.2))
+        for others in ((), (ball("shell", 1.0, thin),))
+    )
+    assert not reference.has_second(around, limits.correct(term, "all"))
+    right = 0.8 * np.array(TINT) * means(bare, term)
+    np.testing.assert_allclose(means(around, term), right, rtol=0.01)
+    if term == "direct":
+        kernel = Kernel("simpson", radius=0.2)
+        right = 0.8 * np.array(TINT) * means(bare, term, spp=2, kernel=kernel)
+        np.testing.assert_allclose(means(around, term, spp=2, kernel=kernel), right, rtol=0.05)
+
+
+def judged(scene: Scene, term: Term, variant: str, chain: Chain, samples: int, spp: int, noise: float) -> Limit:
+    """Compare a row with its reference, whose limit is returned."""
+    scene = attrs.evolve(scene, photons=Photons(20_000, 0.3, nearest=50))
+    subject = Subject(scene, {}, chain=chain)
+    study = Study(scenes=("room",), resolution=(8, 8), nearest_maps=1, kernel_maps=1)
+    limit = own_limit(study, subject, find(term, variant))
     with Engine(scene) as engine:
         mine = np.array(
             [
@@ -227,6 +284,7 @@ def test_a_row_is_its_reference(row: str):
         error = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 16)
         assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 4.5 * error).all()
         assert (error < noise * b.mean(axis=0)).all()
+    return limit
 
 
 def test_without_transparent_surfaces_the_term_is_black():

@@ -526,6 +526,12 @@ def test_glass_is_said_by_each_format(tmp_path: Path):
     said = [line for line in pbrt.write(given, tmp_path / "all.pbrt") if "gloss = 0.5, transparency = 0.75" in line]
     assert len(said) == 1
 
+    thin = attrs.evolve(given, objects=(attrs.evolve(objects[0], material=attrs.evolve(GLASS, occludes=False)), lamp))
+    (line,) = (line for line in neutral.describe(thin)["left_out"] if "occludes" in line)
+    assert line == "objects: 'ball 1': occludes = False: light comes through refracted, and leaves a shadow"
+    assert "occludes" not in neutral.describe(thin)["objects"][0]["material"]
+    assert not neutral.diffuse(thin).unshadowing
+
     obj.write(given, tmp_path / "all.obj")
     lines = (tmp_path / "all.mtl").read_text("utf-8").splitlines()
     assert {"Tf 0.75 0.375 0.1875", "Ni 1.25", "illum 7"} <= {*lines}

@@ -89,6 +89,18 @@ BAD = {
         'shadows = "paper"\n' + GOOD + "transparency = 0.5\n",
         ["objects", "'a'", "transparency = 0.5", "allowed is 0", "shadows = 'paper'"],
     ),
+    "what is opaque casts a shadow": (
+        GOOD + "occludes = false\n",
+        ["objects", "occludes = False", "allowed is True", "transparency = 0.0"],
+    ),
+    "a number for whether it occludes": (
+        GOOD + "transparency = 1\noccludes = 0\n",
+        ["objects", "occludes = 0", "true or false"],
+    ),
+    "light that goes through straight and refracted": (
+        GOOD + 'transparency = 1\noccludes = false\n[photons]\nscattering = "full"\n',
+        ["objects", "'a'", "occludes = False", "allowed is True", "photons.scattering = 'full'"],
+    ),
     "translucency with normals of the face": (
         'normals = "face"\n' + GOOD + "translucency = 0.5\n",
         ["objects", "'a'", "translucency = 0.5", "allowed is 0", "normals = 'face'"],

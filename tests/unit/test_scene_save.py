@@ -80,7 +80,7 @@ SCENES = {
                 (0.0, 0.0, 1.0),
                 (1.0, 0.0, 0.0),
                 (0.0, 1.0, 0.0),
-                Material(ior=1.25, tint=(0.5, 0.25, 1.0), transparency=1.0, fresnel="dielectric"),
+                Material(ior=1.25, tint=(0.5, 0.25, 1.0), transparency=1.0, fresnel="dielectric", occludes=False),
             ),
         ),
     ),

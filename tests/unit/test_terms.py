@@ -168,6 +168,7 @@ def test_what_is_in_every_key(scene: Scene, record_property):
 PAPER = {"shadows": "paper"}
 FULL = {"photons.scattering": "full"}
 GLASS = {"objects.material.transparency": 0.75}
+THIN = GLASS | {"objects.material.occludes": False}
 DRAWN = {"draw_lights": True}
 # A change, the scene that it is made to, and the terms that it touches: on our side, and on Mitsuba's where that
 # differs.
@@ -184,6 +185,8 @@ TOUCHED = [
     ("objects.material.ior", 1.3, GLASS, "specular transmission", None),
     ("objects.material.ior", 1.3, GLASS | FULL, "direct specular transmission", None),
     ("objects.material.tint", (0.5, 0.5, 0.5), GLASS, "specular transmission", None),
+    ("objects.material.tint", (0.5, 0.5, 0.5), THIN, "ambient direct specular transmission", None),
+    ("objects.material.occludes", False, GLASS, "ambient direct specular transmission", None),
     ("objects.material.fresnel", "dielectric", {}, "specular", None),
     ("lights.intensity", (2.0, 2.0, 2.0), {}, "direct specular", None),
     ("lights.intensity", (2.0, 2.0, 2.0), GLASS, "direct specular transmission", None),
