@@ -40,7 +40,7 @@ LATTICE = 2.0**-10
 SAMPLES = 4
 EVERY = [(term, name) for term in TERMS for name in VARIANTS[term]]
 # The library's scenes by what their kernels are compiled for: of glass for transmission alone, which no other has.
-KINDS: dict[Term, tuple[str, ...]] = dict.fromkeys(TERMS, ("plain", "lights")) | {"transmission": ("glass",)}
+KINDS = {term: ("glass",) if term == "transmission" else ("plain", "lights") for term in TERMS}
 
 
 def of_kind(kind: str, *values: str) -> Any:
