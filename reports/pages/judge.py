@@ -46,12 +46,12 @@ def write(folder: Path, *, root: str = "") -> Path:
     results = json.loads((folder / "results.json").read_text("utf-8"))
     row, settings = results["verdict"], results["settings"]
     with h5netcdf.File(folder / "results.nc", "r") as kept:
-        exposure = float(kept.attrs["exposure"])
-        height, width, _ = kept["image"].shape
+        exposure = float(np.asarray(kept.attrs["exposure"]).item())
+        height, width, _ = kept.variables["image"].shape
         seen = row["verdict"] != "ABSENT" and height * width <= VIEWED_PIXELS
         # The viewer alone shows what variances say.
         names = [name for name in kept.variables if seen or not name.endswith("_variance")]
-        read = {name: np.asarray(kept[name][...]) for name in names}
+        read = {name: np.asarray(kept.variables[name][...]) for name in names}
     shutil.rmtree(folder / "pictures", ignore_errors=True)
     viewer.clear(folder)
     written: list[Future[None]] = []
