@@ -32,14 +32,11 @@ LEFT = 0.8 * np.array(THIN.tint)
 FAINT = Material((1e-6, 1e-6, 1e-6))
 
 
-@pytest.fixture(autouse=True)
-def _plain(compiled: bool) -> None:
-    if compiled:
-        pytest.skip("as plain Python alone: kernels of their own are compiled by `make exam`, against the references")
+pytestmark = pytest.mark.plain
 
 
 def shell(side: float, material: Material = THIN) -> Object:
-    return attrs.evolve(box(f"shell {side:g}", (-side / 2,) * 3, side), material=material)
+    return attrs.evolve(box(f"shell {side:g}", (-side / 2, -side / 2, -side / 2), side), material=material)
 
 
 def inside(*around: Object, **changes: Any) -> Scene:
@@ -128,7 +125,7 @@ def test_photons_scatter_besides():
     for index in range(512):
         flies, factor = photon_tracing._pass(arrays, passing, True, surface, Sampler(key, np.uint32(index)))
         flux[int(flies)] += np.array(factor) / 512
-    np.testing.assert_allclose(flux, [WHITE, LEFT], rtol=0.01)
+    np.testing.assert_allclose(flux, np.array([WHITE, LEFT]), rtol=0.01)
     assert photon_tracing._pass(arrays, passing, False, surface, Sampler(key, np.uint32(0))) == (False, Vec3(*WHITE))
 
 
