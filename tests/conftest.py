@@ -17,7 +17,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if COMPILED:
         for item in items:
             if item.get_closest_marker("plain"):
-                item.add_marker(pytest.mark.skip("as plain Python alone: NUMBA_DISABLE_JIT=1"))
+                item.add_marker(pytest.mark.skip("runs as plain Python: compiled it needs kernels of its own"))
 
 
 @pytest.fixture(scope="session")

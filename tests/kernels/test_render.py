@@ -380,7 +380,7 @@ def test_threads_and_prefixes_change_no_bit(term, variant, busy, compiled):
     if term == "transmission":
         busy = of_glass(widened("two_cubes", compiled))
         if variant == "uniform" and not compiled:
-            pytest.skip("few of its directions are those of a lobe: black at the size that plain Python affords")
+            pytest.skip("runs compiled: at the size of plain Python no direction meets a lobe")
     found = renderer.find(term, variant)
     images: dict[int, list[bytes]] = {}
     for threads in (1, 2, 3):

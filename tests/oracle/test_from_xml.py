@@ -221,7 +221,7 @@ def looked_up(thing: Object, random: np.random.Generator, count: int) -> tuple[n
     return points, normals / np.linalg.norm(normals, axis=1, keepdims=True), bilinear(image, places)
 
 
-@pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="its calls take one point each")
+@pytest.mark.skipif(backend.choose().variant == "scalar_rgb", reason="a call of it takes one place")
 def test_bitmaps_lie_where_mitsuba_has_them(tmp_path: Path):
     """Tiled, turned and mirrored by `to_uv`; by a mesh's own places; on a lamp that is turned over."""
     random = np.random.default_rng(4)
