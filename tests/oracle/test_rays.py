@@ -163,8 +163,9 @@ def test_geometry_images(name, record_property):
     hit = ~on_edge & (mine.object >= 0)
     assert hit.sum() > 10_000
     np.testing.assert_allclose(mine.depth[hit], theirs.depth[hit], rtol=1e-5)
-    # A float32 point is off by some 1e-7 of its coordinates, and turns a normal by that over the radius of curvature.
-    np.testing.assert_allclose(mine.normal[hit], theirs.normal[hit], atol=5e-6)
+    # A float32 point is off by some 1e-7 of its coordinates, and turns a normal by that over the radius of a ball.
+    close = 5e-6 if name == "glass" else 1e-6
+    np.testing.assert_allclose(mine.normal[hit], theirs.normal[hit], atol=close)
     np.testing.assert_array_equal(np.isinf(mine.depth), mine.object < 0)
     np.testing.assert_array_equal(np.isinf(theirs.depth), theirs.object < 0)
 
