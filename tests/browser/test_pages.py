@@ -642,4 +642,4 @@ def test_panels_of_a_chart_stand_one_above_the_other_where_it_is_narrow(context,
             " return narrow ? above : beside; }",
             arg=[plot.element_handle(), width < 700],
         )
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")  # the page's other charts follow
