@@ -38,7 +38,9 @@ from termwise.scenes import limits
 from termwise.scenes.limits import Limit
 from termwise.scenes.terms import TABLE, TERMS, Term
 
-_RINGS = 32  # times the samples a pixel of other references; with 8 most of these rows of `standard` were UNDERPOWERED
+# Times the samples a pixel of other references, in rows that no pilot allots by (`pilot`).
+_RINGS = 32  # with 8 most of these rows of `standard` were UNDERPOWERED
+_LOBE = 4  # with 1 their shape was known to 0.8 to 1.4 % rms, 1 % being asked
 
 RowsOf = Callable[[Subject, list[Cell], References, Compare], list[Measurement]]
 
@@ -101,8 +103,10 @@ def reference_samples(study: Study, limit: Limit) -> int:
         return maps
     if limit.transport == "physical":
         return study.physical_spp
-    # Rings cannot be drawn where the lobe is: their reference is as noisy as the estimator.
-    return study.reference_spp * (_RINGS if TABLE[limit.term].meets and limit.rings else 1)
+    if TABLE[limit.term].meets and limit.rings:
+        # Rings cannot be drawn where the lobe is: their reference is as noisy as the estimator.
+        return study.reference_spp * _RINGS
+    return study.reference_spp * (_LOBE if limit.lobe != 1 else 1)
 
 
 def _variants(subject: Subject) -> list[Variant]:
