@@ -1,5 +1,6 @@
 """What all lanes share."""
 
+import gc
 import os
 from collections.abc import Iterator
 
@@ -18,6 +19,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if item.get_closest_marker("plain"):
                 item.add_marker(pytest.mark.skip("runs as plain Python: compiled it needs kernels of its own"))
+
+
+def pytest_collection_finish() -> None:
+    """Leave out of garbage collections what was imported and collected: it stays, and a second each is what they took."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -30,6 +30,7 @@ KERNELS: tuple[Kernel, ...] = (
 # Of the kinds of scene that rare tests have: what they take of these.
 SOME = {
     "lights": KERNELS,
+    "shadow rule": KERNELS[:6],
     "leaf": KERNELS[:5],
     "images": KERNELS[:5],
     "glass": (("transmission", "vndf", "next-event"), *KERNELS[1:3]),
@@ -45,6 +46,8 @@ def scene_of(kind: str) -> Scene:
         return small(kind, 4)
     if kind == "plain":
         return small("two_cubes", 4)
+    if kind == "shadow rule":
+        return small("two_cubes", 4, shadows="paper")
     if kind == "glass":
         return of_glass(small("two_cubes", 4))
     scene = small("wild", 4)

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from termwise.renderer.plan import check, skipped
+from termwise.renderer.terms import find
 from termwise.scenes.store import ROOT
 from tests.audit import __main__ as command
 from tests.audit import faults, history, nulls, power
@@ -31,6 +33,17 @@ def test_every_plant_fits_the_sources(plant):
     assert changed != (ROOT / plant.path).read_text("utf-8")
     if plant.path.endswith(".py"):
         compile(changed, plant.path, "exec")
+
+
+CASES = list(dict.fromkeys(plant.shown for plant in ALL if isinstance(plant.shown, Case)))
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_every_case_is_a_scene_that_its_variant_fits(case: Case):
+    scene, variant = case.build(), find(case.term, case.variant)
+    check(scene, variant)
+    assert skipped(scene, variant.term) is None
+    assert variant.limit(scene, case.samples).term == case.term
 
 
 def test_plants_are_enough_and_have_names_of_their_own():

@@ -129,8 +129,9 @@ def _thin(scene: Scene) -> Scene:
     """Nothing that is transparent casts a shadow, and all of it is tinted."""
 
     def thin(thing: Object) -> Object:
-        material = attrs.evolve(thing.material, occludes=False, tint=(0.7, 0.5, 0.9))
-        return attrs.evolve(thing, material=material) if thing.material.transparency else thing
+        if not thing.material.transparency:
+            return thing
+        return attrs.evolve(thing, material=attrs.evolve(thing.material, occludes=False, tint=(0.7, 0.5, 0.9)))
 
     return attrs.evolve(scene, objects=tuple(map(thin, scene.objects)))
 

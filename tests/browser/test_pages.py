@@ -243,7 +243,9 @@ def test_every_page_loads_without_complaint_and_without_network(context, run):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("against", ["own", "correct", "physical"])
+@pytest.mark.parametrize(
+    "against", ["own", *(pytest.param(other, marks=pytest.mark.slow) for other in ("correct", "physical"))]
+)
 @pytest.mark.parametrize("cell", range(len(CELLS)), ids=["-".join(cell) for cell in CELLS])
 def test_inspector_shows_the_values_of_the_exr(view, run, scene, cell, against):
     limit = AGAINST[against][cell]

@@ -180,6 +180,7 @@ def test_paper_ambient_is_pi_times_too_bright(scene: str, measured: OfScene):
     assert row["standard_error"] < 0.01 * math.pi
 
 
+@pytest.mark.slow
 def test_paper_specular_of_one_bounce_is_4_over_pi_times_too_bright(tmp_path: Path):
     """Each vertex of a chain has the factor 4/pi; a chain of one vertex gives it to the whole image."""
     chosen = attrs.evolve(STUDY, samples=STUDY.samples | {"specular.paper": 128})

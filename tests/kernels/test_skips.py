@@ -88,7 +88,9 @@ CASES = [
     ("window", BOX, "specular", None, RAYS, False),  # only the blocks are glossy
     ("window", half_black(), "ambient", None, RAYS, False),
     ("window", half_black(), "direct", None, RAYS, False),
-    ("window", attrs.evolve(half_black(), shadows="paper"), "ambient", None, RAYS, False),
+    pytest.param(
+        "window", attrs.evolve(half_black(), shadows="paper"), "ambient", None, RAYS, False, marks=pytest.mark.rare
+    ),
     ("window", MONKEY, "background", None, RAYS, False),
     ("window", attrs.evolve(MONKEY, objects=()), "background", None, RAYS, True),
     ("pixel", of_rule(CUBES, "corner"), "ambient", None, RAYS, False),
@@ -157,6 +159,7 @@ def test_skips_change_no_byte_of_the_library(compiled):
             assert image.tobytes() == in_vain.tobytes(), (name, term)
 
 
+@pytest.mark.rare
 def test_mirrors_have_ambient_light_in_the_papers_shadow(compiled):
     """There a surface has its whole colour, whatever its gloss: nothing of the term may be skipped."""
     mirrors = attrs.evolve(with_material(BOX, gloss=1.0), shadows="paper")

@@ -30,10 +30,15 @@ def _vectorised():
     ("name", "term", "scope", "step"),
     [
         ("cornell_box", "ambient", "first-hit", 1),
-        ("cornell_box", "direct", "first-hit", 1),
-        ("monkey", "direct", "first-hit", 1),
-        ("two_cubes", "direct", "all", 1),
-        ("two_cubes", "specular", "all", 3),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("cornell_box", "direct", "first-hit", 1),
+                ("monkey", "direct", "first-hit", 1),
+                ("two_cubes", "direct", "all", 1),
+                ("two_cubes", "specular", "all", 3),
+            )
+        ),
     ],
 )
 def test_every_setting_converges_to_the_reference(name, term, scope, step):

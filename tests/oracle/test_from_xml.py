@@ -524,7 +524,15 @@ def shining(scene: Scene, origins: np.ndarray, ways: np.ndarray) -> np.ndarray:
     return front
 
 
-@pytest.mark.parametrize("kind", ["rectangle", "disk", "cube", "sphere", "bare", "with", "against"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "rectangle",
+        "sphere",
+        "against",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("disk", "cube", "bare", "with")),
+    ],
+)
 def test_a_lamp_shines_from_the_side_that_mitsuba_s_does(kind: str, tmp_path: Path):
     given = {"bare": "", "with": ASIDE, "against": BEHIND}
     (tmp_path / "shard.obj").write_text(shard(given.get(kind, "")))

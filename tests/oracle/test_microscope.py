@@ -136,7 +136,12 @@ def replayed(folder: Path, command: Command, term: str, variant: str) -> tuple[A
 
 
 @pytest.mark.parametrize(
-    ("term", "variant"), [("ambient", "paper"), ("direct", "next-event"), ("direct", "path"), ("specular", "vndf")]
+    ("term", "variant"),
+    [
+        ("direct", "next-event"),
+        ("specular", "vndf"),
+        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in (("ambient", "paper"), ("direct", "path"))),
+    ],
 )
 def test_a_replay_is_what_the_run_stored(term: str, variant: str, folder: Path, command: Command):
     status, found = replayed(folder, command, term, variant)

@@ -42,6 +42,7 @@ def under_a_screen(*, lamp: bool) -> Scene:
     )
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("lamp", [False, True])
 def test_dark_points_have_the_whole_color_and_nothing_else(lamp: bool):
     scene = under_a_screen(lamp=lamp)
@@ -70,6 +71,7 @@ def test_dark_points_have_the_whole_color_and_nothing_else(lamp: bool):
             np.testing.assert_allclose(by_mitsuba[seen], images[term][seen], rtol=1e-6)
 
 
+@pytest.mark.rare
 def test_without_lights_nothing_is_dark():
     scene = attrs.evolve(under_a_screen(lamp=False), lights=())
     paper = renderer.render(scene, "ambient", samples=1)
