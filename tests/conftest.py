@@ -22,7 +22,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave out of garbage collections what was imported and collected: it stays, and a second each is what they took."""
+    """Leave what was imported and collected out of garbage collections, which took a second each: it stays."""
     gc.collect()
     gc.freeze()
 
