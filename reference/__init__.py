@@ -140,7 +140,7 @@ def shared(scene: Scene, limit: Limit) -> Limit:
     """The limit whose render serves this one: all that does not change the render is put at its default."""
     term = parts(limit)[0]
     if limit.transport == "physical" and term in _SPLIT:
-        return Limit(term, transport="physical")
+        return Limit(term, transport="physical", depth=limit.depth)
     others = {name for row in TABLE.values() for name in row.limit} - {*TABLE[term].limit}
     kept = {
         field.name: getattr(limit, field.name)
@@ -153,8 +153,12 @@ def shared(scene: Scene, limit: Limit) -> Limit:
 
 
 def rng_seed(limit: Limit, seed: int, replicate: int, *, by_second: bool = False) -> int:
-    """32-bit seed of a replicate's first pass; the passes of one seed's replicates never coincide."""
-    name = (seed, attrs.astuple(limit), *(["second"] if by_second else []))
+    """32-bit seed of a replicate's first pass; the passes of one seed's replicates never coincide.
+
+    All depths share it: what is cut are the same paths.
+    """
+    settings = attrs.astuple(limit, filter=lambda field, _: field.name != "depth")
+    name = (seed, settings, *(["second"] if by_second else []))
     digest = hashlib.sha256(repr(name).encode()).digest()
     return (int.from_bytes(digest[:4], "little") + replicate * PASSES) % 2**32
 

@@ -33,17 +33,17 @@ def built_in(*, first_hit: bool) -> dict[str, Any]:
     return {"type": "path"} | ({"max_depth": 2, "rr_depth": 3} if first_hit else {"max_depth": -1, "rr_depth": START})
 
 
-def reflected(loaded: Any, role: str, *, first_hit: bool = False) -> Callable[[Any, Any, Any], Any]:
+def reflected(loaded: Any, role: str, *, most: int = ENDLESS) -> Callable[[Any, Any, Any], Any]:
     """(ray, sampler, active) -> light that is reflected at least once, none emitted along the ray, mi.Color3f.
 
-    `role` : of the scene. `first_hit` : once alone. Surfaces of lights are black and end a path.
+    `role` : of the scene. `most` : vertices of a path. Surfaces of lights are black and end a path.
     """
     scene = loaded.scenes[role]
-    if not first_hit:
+    if most == ENDLESS:
         check_end(loaded, role)
 
     def radiance(ray: Any, sampler: Any, active: Any) -> Any:
-        return _followed(scene, FIRST_HIT if first_hit else ENDLESS, ray, sampler, active)
+        return _followed(scene, most, ray, sampler, active)
 
     return radiance
 
@@ -56,9 +56,9 @@ def survival(throughput: Any, faint: float) -> Any:
 @dr.syntax
 def _followed(scene: Any, most: int, ray: Any, sampler: Any, active: Any) -> Any:
     si = scene.ray_intersect(ray, active)
-    active = mi.Bool(active & meets_surface(si))
     throughput, color = mi.Color3f(1.0), mi.Color3f(0.0)
     vertices, last = mi.UInt32(0), dr.opaque(mi.UInt32, most)
+    active = mi.Bool(active & meets_surface(si) & (vertices < last))
     while active:
         light, weight, _, si, active = vertex(scene, si, sampler, active)
         color += throughput * light

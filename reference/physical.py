@@ -7,7 +7,8 @@
 
 Light is linear, so "ends on" is a scene with that light alone. At the camera vertex one lobe is lit, as vertices of
 `paths` are; what the lobe's direction meets is lit by `paths`. All lights are visible to every lobe, the ambient light
-L_a0 does not exist, and the parts add up to Mitsuba's plain `path`.
+L_a0 does not exist, and the parts add up to Mitsuba's plain `path`; where light scatters at most `depth`
+times, to that of `max_depth` = `depth` + 1.
 """
 
 from typing import Any
@@ -29,11 +30,12 @@ PARTS = {
 
 def estimator(loaded: Any, limit: dict[str, Any]) -> Estimator:
     """Samples -> (ambient, direct, specular, transmission); unbiased."""
+    further = paths.ENDLESS if limit["depth"] is None else limit["depth"] - 1
     parts = []
     for lobe, light in PARTS.values():
         first, lit = loaded.scenes.get(lobe), loaded.scenes[light]
         shown = first is not None and lit.emitters()
-        parts.append((first, lit, paths.reflected(loaded, light) if shown else None))
+        parts.append((first, lit, paths.reflected(loaded, light, most=further) if shown else None))
 
     def estimate(samples: Samples) -> tuple[Any, ...]:
         images = []

@@ -139,6 +139,8 @@ class Limit:
     transport : "decomposed" | "physical"
         `decomposed`: the paper's operator above. `physical`: full light transport with all lights
         visible to every lobe, split by the lobe sampled at the camera vertex.
+    depth : how often light scatters at surfaces at most, in full light transport alone: 1 is direct light; None: any
+        number.
 
     Raises
     ------
@@ -158,6 +160,7 @@ class Limit:
     kernel: Kernel | None = None
     shadows: Literal["physical", "paper"] = _choice("physical", "paper", default="physical")
     transport: Literal["decomposed", "physical"] = _choice("decomposed", "physical", default="decomposed")
+    depth: int | None = _count(None, 1)
 
     def __attrs_post_init__(self) -> None:
         """Refuse what no image is the integral of."""
@@ -171,6 +174,8 @@ class Limit:
             if field.name not in ("term", "factor", "transport", *row.limit) and value != field.default:
                 allowed = ", ".join(("factor", "transport", *row.limit))
                 raise ValueError(f"{field.name} = {value!r}: means nothing to {self.term}: allowed are {allowed}")
+        if self.depth is not None and self.transport != "physical":
+            raise ValueError(f"depth = {self.depth!r}: allowed with transport = 'physical' alone")
 
     def __repr__(self) -> str:
         """The fields that are not as they are by default."""

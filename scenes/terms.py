@@ -192,7 +192,7 @@ TABLE: dict[Term, TermRow] = {
                 read(*_LIGHTS, "objects.material.color", when=_by_lights),
                 _PASSING,
             ),
-            limit=("occluded", "rings", "shadows"),
+            limit=("occluded", "rings", "shadows", "depth"),
         ),
         TermRow(
             "direct",
@@ -211,7 +211,7 @@ TABLE: dict[Term, TermRow] = {
                 _PASSING,
             ),
             scoped=True,
-            limit=("scope", "kernel", "shadows"),
+            limit=("scope", "kernel", "shadows", "depth"),
         ),
         TermRow(
             "specular",
@@ -226,7 +226,7 @@ TABLE: dict[Term, TermRow] = {
             # And transmission, where the scene has it: chains that begin with one of the two go on with both.
             meets=("ambient", "direct"),
             sky=True,
-            limit=("occluded", "scope", "lobe", "diffuse", "cosine", "ambient", "rings", "kernel", "shadows"),
+            limit=("occluded", "scope", "lobe", "diffuse", "cosine", "ambient", "rings", "kernel", "shadows", "depth"),
         ),
         TermRow(
             "transmission",
@@ -240,7 +240,7 @@ TABLE: dict[Term, TermRow] = {
             scoped=True,
             meets=("ambient", "direct", "specular"),
             sky=True,
-            limit=("occluded", "scope", "ambient", "kernel"),
+            limit=("occluded", "scope", "ambient", "kernel", "depth"),
             seldom=True,
         ),
         TermRow(

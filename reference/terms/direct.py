@@ -29,10 +29,11 @@ def incoming(loaded: Any, limit: dict[str, Any]) -> Any:
     """(ray, sampler, active) -> the term seen along the ray; black where it misses or meets a light's surface."""
     if not loaded.description["has_lights"]:
         return lambda ray, sampler, active: mi.Color3f(0.0)
+    most = longest(loaded, limit)
     if rays.plain(loaded):
-        radiance = paths.reflected(loaded, "direct", first_hit=limit["scope"] == "first-hit")
+        radiance = paths.reflected(loaded, "direct", most=most)
     else:
-        radiance = functools.partial(followed, loaded, longest(loaded, limit), paths.FAINT)
+        radiance = functools.partial(followed, loaded, most, paths.FAINT)
     factor = dr.opaque(mi.Float, loaded.description["irradiance_factor"])
     dark = shadows.rule(loaded, limit, "diffuse")
 

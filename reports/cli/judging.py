@@ -98,7 +98,7 @@ def judge(
     reference_layer
         The same of the reference's files.
     hints
-        After BIASED, look for simple causes: a shift, a flip, a factor.
+        After BIASED, look for simple causes: a shift, a flip, a factor, with --scene light that ends too soon.
     exposure
         Factor on the radiance in the pictures; by default the reference's mean is shown as middle grey.
     junit
@@ -246,7 +246,7 @@ def _of_scene(
         described = attrs.evolve(described, resolution=there.pixels.shape[2:0:-1])
         case = Case(described.name, list(images), None)
     _progress(f"Mitsuba renders {described.name}")
-    truth, found = engines.against(described, spp=reference_spp, seed=seed, replicates=replicates)
+    truth, found = engines.against(described, spp=reference_spp, seed=seed, replicates=replicates, say=_progress)
     return attrs.evolve(case, reference=truth, options=case.options | found | places, settings=settings | case.settings)
 
 

@@ -155,12 +155,21 @@ class Row:
     parts : what the engine is asked, with signs.
     limits : what the references of which the sum is meant are; each with the scene that it is rendered of.
     absent : why there is nothing to judge, whatever the engine; None where there is.
+    transported : the same by full light transport, which can be cut; empty where light scatters once.
     """
 
     name: str
     parts: tuple[tuple[int, Asked], ...]
     limits: tuple[tuple[Scene, Limit], ...]
     absent: str | None = None
+    transported: tuple[tuple[Scene, Limit], ...] = ()
+
+    def cut(self, depth: int) -> tuple[tuple[Scene, Limit], ...]:
+        """As `limits`, where light scatters so often at most."""
+        return tuple(
+            (scene, attrs.evolve(limit, depth=depth) if limit.transport == "physical" else limit)
+            for scene, limit in self.transported
+        )
 
 
 _UNSEEN = PointLight, SpotLight, DirectionalLight
@@ -176,13 +185,11 @@ def total(scene: Scene) -> Row:
     """All light, against `physical`; lamps shine where the camera sees them, as in other renderers."""
     lit = attrs.evolve(scene, draw_lights=True, ambient=Ambient())
     physical = [(scene, limits.physical(term)) for term in TABLE if term != "background"]
-    dark = scene.sky.is_black and not scene.has_lights
-    return Row(
-        TOTAL,
-        ((1, Asked.of(f"{scene.name}: {TOTAL}", lit)),),
-        (*physical, (lit, limits.correct("background", scene.scope))),
-        _odd(scene) or ("the scene has no light" if dark else None),
-    )
+    whole = (*physical, (lit, limits.correct("background", scene.scope)))
+    absent = _odd(scene)
+    if absent is None and scene.sky.is_black and not scene.has_lights:
+        absent = "the scene has no light"
+    return Row(TOTAL, ((1, Asked.of(f"{scene.name}: {TOTAL}", lit)),), whole, absent, whole)
 
 
 def _ambient(scene: Scene) -> Row:
@@ -203,7 +210,8 @@ def _direct(scene: Scene, scope: Scope) -> Row:
     depth = 1 if scope == "first-hit" else None
     absent = TABLE["direct"].absent(scene) or _odd(scene)
     lamps = any(thing.emits for thing in scene.objects) or any(not isinstance(light, _UNSEEN) for light in scene.lights)
-    return _term(scene, name, lit, depth, limits.correct("direct", scope), absent, seen=lamps)
+    row = _term(scene, name, lit, depth, limits.correct("direct", scope), absent, seen=lamps)
+    return row if depth else attrs.evolve(row, transported=((lit, limits.physical("direct")),))
 
 
 def _term(

@@ -38,11 +38,21 @@ _POINT = PointLight((0.3, 0.2, 1.2), (8.0, 4.0, 2.0))
 
 @attrs.frozen(eq=False)
 class Furnace:
-    """A scene, its radiance (H, W, 3) float64, and that in words."""
+    """A scene whose radiance is known.
+
+    Attributes
+    ----------
+    asked : the scene.
+    exact : (H, W, 3) float64, its radiance.
+    formula : the same in words.
+    at_depth : (depth, count) -> (1, H, W, 3), what of it is left where light scatters so often at most; None where it
+        scatters once, or that is not known.
+    """
 
     asked: Asked
     exact: np.ndarray
     formula: str
+    at_depth: Callable[[int, int], np.ndarray] | None = None
 
     @property
     def name(self) -> str:
@@ -134,7 +144,12 @@ def _closed_box(albedo: Color, emission: Color, *, depth: int | None = None) -> 
     described = asked.described | {"objects": [asked.described["objects"][0] | {"emission": list(emission)}]}
     exact = light / (1.0 - rho) if depth is None else light * (1.0 + rho)
     formula = "e / (1 - rho)" if depth is None else "e (1 + rho)"
-    return Furnace(attrs.evolve(asked, described=described), _constant(tuple(exact)), formula)
+
+    def at_depth(depth: int, count: int) -> np.ndarray:
+        return _constant(tuple(light * (1.0 - rho ** (depth + 1)) / (1.0 - rho)))[None]
+
+    asked = attrs.evolve(asked, described=described)
+    return Furnace(asked, _constant(tuple(exact)), formula, at_depth if depth is None else None)
 
 
 def _plate(name: str, **lit: Any) -> Scene:

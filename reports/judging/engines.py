@@ -3,6 +3,7 @@
 What an engine cannot say is ABSENT, what it fails at FAILED, each with its reason; the other cases stand.
 """
 
+import functools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from termwise.reports.engines.engine import load as load_engine
 from termwise.reports.engines.furnaces import furnaces
 from termwise.reports.engines.probe import probe as check
 from termwise.reports.engines.replicates import Images, rendered
+from termwise.reports.judging.hints import AtDepth
 from termwise.reports.judging.judge import Judgement, judge
 from termwise.reports.judging.suite import Case, Outcome, Unjudged, judge_all
 from termwise.reports.progress import Report, silent
@@ -30,6 +32,8 @@ from termwise.scenes.terms import TermImage, total
 
 _LEAST = 4
 """Replicates that a comparison needs: an image without noise stands for so many."""
+_SHORTFALL = "reference shortfall"
+"""Setting of a case: why its reference has fewer samples or replicates than asked for."""
 
 
 @attrs.frozen(eq=False)
@@ -84,7 +88,8 @@ def furnace(
             images = family.images(engine, name, [each.asked])
             if images is not None:
                 settings = {"radiance": each.formula}
-                family.add(engine, name, images, each.exact[None], {"noiseless": True}, settings)
+                options = {"noiseless": True, "at_depth": each.at_depth}
+                family.add(engine, name, images, each.exact[None], options, settings)
     return family.judge(folder, command, exact=True)
 
 
@@ -128,17 +133,24 @@ def compare(
                     truth = _truth(row.limits, spp=spp, seed=how.seed, count=reference_replicates)
                 # What shines was subtracted: noise leaves less than nothing.
                 options = _objects(scene) | {"allow_negative": len(row.parts) > 1}
+                options |= {"at_depth": _at_depth(row, truth, spp=spp, seed=how.seed, say=family.says)}
                 settings = {"judged against": _against(row)} | truth.settings
                 family.add(engine, name, images, truth.stack, options, settings, row)
     return family.judge(folder, command)
 
 
-def against(scene: Scene, *, spp: int, seed: int, replicates: int) -> tuple[np.ndarray, dict[str, Any]]:
-    """Mitsuba's replicates of all light of a scene (R, H, W, 3), lamps in view too; and its objects for `judge`."""
+def against(
+    scene: Scene, *, spp: int, seed: int, replicates: int, say: Callable[[str], object] = lambda text: None
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Mitsuba's replicates of all light of a scene (R, H, W, 3), lamps in view too; and what `judge` takes beside them.
+
+    That is its objects, and the reference of less light for a hint, of which `say` is told when it is rendered.
+    """
     row = asking.total(scene)
     if row.absent is not None:
         raise ValueError(f"{scene.name}: {row.absent}: allowed is a scene that is light transport")
-    return _truth(row.limits, spp=spp, seed=seed, count=replicates).stack, _objects(scene)
+    truth = _truth(row.limits, spp=spp, seed=seed, count=replicates)
+    return truth.stack, _objects(scene) | {"at_depth": _at_depth(row, truth, spp=spp, seed=seed, say=say)}
 
 
 def case(engine: Engine, scene: Scene, how: Asking, *, progress: Callable[[], object] | None = None) -> Case:
@@ -324,6 +336,10 @@ class _Family:
             self.unjudged.append(Unjudged(name, "FAILED", str(error)))
             return None
 
+    def says(self, what: str) -> None:
+        """Report what is done beside the images: one thing more than they are."""
+        self.report(what, self._done, max(self._steps, self._done) + 1)
+
     def add(
         self,
         engine: Engine,
@@ -400,8 +416,25 @@ def _truth(limits: Sequence[tuple[Scene, Limit]], *, spp: int, seed: int, count:
         raise ValueError(f"{limits[0][0].name}: {shortfall}: allowed are at least {_LEAST} replicates")
     stacks = [each.images[:least] for each in found]
     said: dict[str, Any] = {"reference samples a pixel": found[0].spp}
-    said |= {"reference shortfall": shortfall} if shortfall else {}
+    said |= {_SHORTFALL: shortfall} if shortfall else {}
     return _Truth(total(*stacks) if len(stacks) > 1 else stacks[0], said)
+
+
+def _at_depth(row: Row, truth: _Truth, *, spp: int, seed: int, say: Callable[[str], object]) -> AtDepth | None:
+    """Replicates of what is left of a reference where light scatters a few times; None where there is no such thing.
+
+    Nor is there where the reference itself took all the time that it may.
+    """
+    if not row.transported or _SHORTFALL in truth.settings:
+        return None
+    said = functools.cache(say)  # once a depth
+
+    def replicates(depth: int, count: int) -> np.ndarray:
+        often = "once" if depth == 1 else f"{depth} times"
+        said(f"Mitsuba renders {row.transported[0][0].name} for a hint: light scatters {often}")
+        return _truth(row.cut(depth), spp=spp, seed=seed, count=count).stack
+
+    return replicates
 
 
 def _against(row: Row) -> str:

@@ -9,8 +9,12 @@ that hides an error is no explanation of it.
 Of a large image a part is judged first, the one where most of the error is left: a cause that a tile or a window of it
 refutes, at the level that each has in the whole, is not tried on the rest. Mean and shape of a part refute nothing: the
 whole is allowed the same of its own, and an error of a part is less of it.
+
+Light that scatters more often than an engine allows lacks differently from place to place. It cannot be put back into
+ours; where references of less light can be rendered, ours is judged against one that ends it, too.
 """
 
+import bisect
 import functools
 import itertools
 import math
@@ -56,8 +60,20 @@ _PROMISING = 0.25
 _SURE = 4.0
 """Standard errors of a mean square error from which on it is one."""
 
+DEPTHS = range(1, 33)
+"""How often light may scatter at most where it is said to be too few times."""
+_FEW = 4
+"""Replicates by which a depth is looked for."""
+_DARKER = 2.0
+"""Standard errors by which ours has to be too dark."""
+
 Image = np.ndarray
 Change = Callable[[Image], Image]
+AtDepth = Callable[[int, int], np.ndarray]
+"""(depth, count) -> (count, H, W, 3): the first replicates of the reference if light scatters so often at most.
+
+1 is direct light. An exact reference is one image.
+"""
 
 
 @attrs.frozen
@@ -201,6 +217,7 @@ def hints(
     mask: np.ndarray | None = None,
     margin: float,
     level: float,
+    at_depth: AtDepth | None = None,
 ) -> tuple[Hint, ...]:
     """Simple causes that would explain why replicates are BIASED, the best first, at most three.
 
@@ -210,37 +227,120 @@ def hints(
     statistics : of the two.
     mask : (H, W) bool, optional
     margin, level : as they were judged with.
+    at_depth : the reference with less light, see `AtDepth`; None: none can be had.
     """
     if statistics.invalid or statistics.reference_is_zero or not np.any(ours):
         return ()
-    groups = [_grouped(each) for each in (ours, reference)]
-    halves = _Halves.of(ours, reference, mask)
-    far = _distance(statistics)
+    trial = _Trial(ours, reference, mask, statistics.exact, _distance(statistics), margin, level)
+    border = trial.tried(_BORDER)
+    singles = list(_singles(ours, trial.halves, statistics))
+    if border:  # what leaves out more than the border is explained by that alone
+        singles = [each for each in singles if not each.margin]
+    found = trial.all_of(singles) + ([border] if border else [])
+    if at_depth is not None and (cut := _cut(trial, at_depth, statistics, alone=bool(found))):
+        found.append(cut)
+    if not found:
+        found = list(itertools.islice(filter(None, map(trial.tried, _several(singles, trial.halves, ours))), 1))
+    return tuple(sorted(found, key=lambda hint: hint.left)[:LISTED])
 
-    def tried(correction: Correction) -> Hint | None:
-        if (part := _worst_part(correction, halves)) is not None:
-            found = _measured(correction, ours, reference, groups, mask, statistics.exact, part)
+
+@attrs.frozen(eq=False)
+class _Trial:
+    """What corrections are tried on.
+
+    Attributes
+    ----------
+    ours, reference, mask, exact, margin, level : as `hints`.
+    far : the distance of which half has to be gone.
+    """
+
+    ours: np.ndarray
+    reference: np.ndarray
+    mask: np.ndarray | None
+    exact: bool
+    far: float
+    margin: float
+    level: float
+
+    @functools.cached_property
+    def halves(self) -> _Halves:
+        """Of the replicates."""
+        return _Halves.of(self.ours, self.reference, self.mask)
+
+    def measured(self, correction: Correction, *part: tuple[slice, slice]) -> Statistics | None:
+        """See `_measured`."""
+        groups = [_grouped(each) for each in (self.ours, self.reference)]
+        return _measured(correction, self.ours, self.reference, groups, self.mask, self.exact, *part)
+
+    def all_of(self, corrections: list[Correction]) -> list[Hint]:
+        """Those that hold."""
+        return [hint for each in _promising(corrections, self.halves) if (hint := self.tried(each))]
+
+    def tried(self, correction: Correction) -> Hint | None:
+        """A correction as a hint, if it holds."""
+        if (part := _worst_part(correction, self.halves)) is not None:
+            found = self.measured(correction, part)
             # Each of its places has the level that it has in the whole.
-            tests = 0 if found is None else math.ceil(found.tests * halves.pixels / (found.height * found.width))
-            if found and rule.place_is_off(found, tests=max(tests, 1), level=level):
+            tests = 0 if found is None else math.ceil(found.tests * self.halves.pixels / (found.height * found.width))
+            if found and rule.place_is_off(found, tests=max(tests, 1), level=self.level):
                 return None
-        found = _measured(correction, ours, reference, groups, mask, statistics.exact)
+        found = self.measured(correction)
         if found is None:
             return None
-        verdict = rule.decide(found, tests=found.tests, margin=margin, level=level).verdict
+        verdict = rule.decide(found, tests=found.tests, margin=self.margin, level=self.level).verdict
         left = _distance(found)
-        if verdict == "BIASED" or left > far / 2:
+        if verdict == "BIASED" or left > self.far / 2:
             return None
         return Hint(f"agrees if {correction.text}", left, str(verdict))
 
-    border = tried(_BORDER)
-    singles = list(_singles(ours, halves, statistics))
-    if border:  # what leaves out more than the border is explained by that alone
-        singles = [each for each in singles if not each.margin]
-    found = [hint for each in _promising(singles, halves) if (hint := tried(each))] + ([border] if border else [])
-    if not found:
-        found = list(itertools.islice(filter(None, map(tried, _several(singles, halves, ours))), 1))
-    return tuple(sorted(found, key=lambda hint: hint.left)[:LISTED])
+
+def _cut(trial: _Trial, at_depth: AtDepth, statistics: Statistics, *, alone: bool) -> Hint | None:
+    """Whether ours is what is left where light scatters a few times; or, but for `alone`, that moved or filtered.
+
+    More depth is more light: the depth whose mean is that of ours is looked for by bisection, with few replicates of
+    the reference. It and its neighbour are tried with these, and only what they do not refute with all.
+    """
+    darker = statistics.luminance
+    if float(darker.bias + _DARKER * darker.standard_error) >= 0.0:
+        return None
+    every = len(trial.reference)
+    few = min(_FEW, every)
+    where = True if trial.mask is None else trial.mask
+
+    @functools.cache
+    def light(depth: int | None) -> float:
+        stack = trial.ours if depth is None else at_depth(depth, few)
+        return float(np.mean(luminance_of(np.mean(stack, axis=0, dtype=np.float64)), where=where))
+
+    above = bisect.bisect_left(DEPTHS, light(None), key=light)
+    near = sorted(DEPTHS[max(above - 1, 0) : above + 1], key=lambda depth: abs(light(depth) - light(None)))
+
+    def held(depth: int, others: Callable[[_Trial], list[Correction]]) -> Hint | None:
+        cut, best = Correction(_ending(depth), always=True), None
+        for count in sorted({few, every}):
+            # Whether enough of the distance is gone, all replicates say.
+            far = trial.far if count == every else math.inf
+            less = attrs.evolve(trial, reference=at_depth(depth, count), far=far)
+            found = less.all_of([each.then(cut) for each in others(less)])
+            if (best := min(found, key=lambda hint: hint.left, default=None)) is None:
+                return None
+        return best
+
+    def moved(less: _Trial) -> list[Correction]:
+        return [each for each in _singles(less.ours, less.halves, statistics) if each.moves]
+
+    for others in (lambda less: [_NONE], moved)[: 1 if alone else 2]:
+        for depth in near:
+            if (hint := held(depth, others)) is not None:
+                return hint
+    return None
+
+
+def _ending(depth: int) -> str:
+    """Of light that scatters so often at most, how the reference is made to agree."""
+    if depth == 1:
+        return "the reference has direct light alone: raise the limit of bounces of ours"
+    return f"light scatters {depth} times at most in the reference too (once is direct light): raise the limit of ours"
 
 
 def _distance(statistics: Statistics) -> float:

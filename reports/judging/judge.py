@@ -12,7 +12,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from termwise.reports.judging.hints import Hint, hints
+from termwise.reports.judging.hints import AtDepth, Hint, hints
 from termwise.reports.statistics import accumulation, rule
 from termwise.reports.statistics.accumulation import Statistics
 from termwise.reports.statistics.headline import headline
@@ -161,6 +161,7 @@ def judge(
     names: Sequence[str] = (),
     reference_names: Sequence[str] = (),
     hint: bool = True,
+    at_depth: AtDepth | None = None,
 ) -> Judgement:
     """Whether the images of any renderer are biased against a reference: by how much, where, and how sure that is.
 
@@ -190,6 +191,10 @@ def judge(
     layer, reference_layer : names of the layers to read from files that hold several.
     names, reference_names : what the replicates are called in warnings and messages; by default files or numbers.
     hint : after BIASED, look for simple causes (a shift, a flip, a factor), which takes a few times as long.
+    at_depth : function, optional
+        (depth, count) -> (count, H, W, 3), the first replicates of the reference where light scatters at surfaces so
+        often at most, 1 being direct light. Called for a hint alone, where the images are too dark: it says whether
+        their light ends too soon.
 
     Returns
     -------
@@ -225,6 +230,7 @@ def judge(
         margin=margin,
         level=level,
         hint=hint,
+        at_depth=at_depth,
     )
     return measured.decide(tests=measured.statistics.tests, margin=margin, level=level)
 
@@ -247,6 +253,7 @@ def measure(
     names: Sequence[str] = (),
     reference_names: Sequence[str] = (),
     hint: bool = True,
+    at_depth: AtDepth | None = None,
 ) -> Measured:
     """Measure a comparison that may be one of several; parameters as for `judge`.
 
@@ -280,7 +287,7 @@ def measure(
     alone = rule.decide(statistics, tests=statistics.tests, margin=margin, level=level)
     found: tuple[Hint, ...] = ()
     if hint and alone.verdict == "BIASED":
-        found = hints(ours.stack, truth.stack, statistics, mask=inside, margin=margin, level=level)
+        found = hints(ours.stack, truth.stack, statistics, mask=inside, margin=margin, level=level, at_depth=at_depth)
     return Measured(
         statistics=statistics,
         hints=found,

@@ -17,6 +17,7 @@ from termwise.reports.engines.furnaces import furnaces
 from termwise.reports.engines.probe import probe
 from termwise.reports.engines.replicates import Here, collected, replicates
 from termwise.reports.engines.running import seed_of
+from termwise.reports.judging import engines as judging
 from termwise.reports.judging.engines import against
 from termwise.scenes.exchange import neutral
 from termwise.scenes.model import Ambient, largest
@@ -89,3 +90,23 @@ def test_the_reference_of_a_scene_is_all_light_and_knows_objects_by_name():
     judged = termwise.judge(ours, truth, mask=lit < 2.0, hint=False, **places)
     assert judged.verdict != "BIASED", judged.sentence
     assert "back wall" in {region.region for region in judged.regions}
+
+
+@pytest.mark.slow
+def test_an_engine_whose_light_ends_too_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """It is said after how many bounces, of all light and of the direct term; and of nothing but an error."""
+    monkeypatch.setenv("TERMWISE_CACHE", str(tmp_path / "cache"))
+    told = (ROOT / "examples" / "tiny_renderer.toml").read_text()
+    (tmp_path / "tiny_renderer.py").write_bytes((ROOT / "examples" / "tiny_renderer.py").read_bytes())
+    (tmp_path / "ends.toml").write_text(told.replace("{depth}", "2").replace('"tiny"', '"ends"'))
+    box = neutral.diffuse(small("cornell_box_unshadowed", 12, 9))
+    subjects = [engines.load(tmp_path / "ends.toml"), engines.load(ROOT / "examples" / "tiny_renderer.toml")]
+    how = judging.Asking(replicates=8, spp=128, probed=False)
+    rows = ("total", "direct all")
+    count = {"reference_spp": 64, "reference_replicates": 8}
+    judged = judging.compare(subjects, [box], tmp_path / "out", how, only=rows, **count)
+    found = {each.name: each.judgement for each in judged.outcomes}
+    assert len(found) == 4
+    for name, judgement in found.items():
+        said = [hint.text for hint in judgement.hints if "light scatters 2 times at most" in hint.text]
+        assert (judgement.verdict == "BIASED", len(said)) == (("ends" in name), int("ends" in name)), name

@@ -322,6 +322,24 @@ def test_furnaces_are_rendered_rightly_and_a_wrong_albedo_is_found(tmp_path: Pat
         assert judged.verdict == verdict
 
 
+def test_a_furnace_says_how_often_light_may_scatter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Of an engine that ends it, and of none whose surfaces are too dark."""
+    (box,) = [each for each in furnaces.furnaces() if each.at_depth and "0.2/0.5/0.8" in each.name]
+    monkeypatch.setattr(judging, "furnaces", lambda: [box])
+    example = ROOT / "examples" / "tiny_renderer.toml"
+    program = example.with_suffix(".py").read_text()
+    for name, words, dark in (("ends", ("{depth}", "3"), ""), ("dark", ("", ""), "0.8 * ")):
+        (tmp_path / f"{name}.py").write_text(program.replace("* color[face[on]]", f"* {dark}color[face[on]]"))
+        told = example.read_text().replace('"tiny"', f'"{name}"').replace("tiny_renderer.py", f"{name}.py")
+        (tmp_path / f"{name}.toml").write_text(told.replace(*words))
+    subjects = [engines.load(tmp_path / f"{name}.toml") for name in ("ends", "dark")]
+    how = judging.Asking(replicates=4, spp=16, threads=1, probed=False)
+    ends, dark = (each.judgement for each in judging.furnace(subjects, tmp_path / "out", how).outcomes)
+    assert (ends.verdict, dark.verdict) == ("BIASED", "BIASED")
+    assert "light scatters 3 times at most" in ends.hints[0].text
+    assert not any("scatters" in hint.text for hint in dark.hints)
+
+
 def test_an_engine_that_fails_leaves_the_other_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     two = [each for each in furnaces.furnaces() if "point" in each.name or each.asked.depth == 1]
     monkeypatch.setattr(judging, "furnaces", lambda: two)

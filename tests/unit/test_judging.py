@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
+import scipy
 import xarray
 
 import termwise
@@ -119,6 +120,68 @@ def test_a_cause_of_another_kind_has_no_hint(draw: Draw):
     assert hinted(termwise.judge(draw(PICTURE * half), draw())) == ""
     assert termwise.judge(draw(), draw()).hints == ()
     assert termwise.judge(draw(change=lambda image: 1.05 * image), draw(), hint=False).hints == ()
+
+
+SCATTERED = np.cumsum([0.5**k * scipy.ndimage.gaussian_filter(PICTURE, (k, k, 0)) for k in range(40)], axis=0)
+"""Light that has scattered once more often than its index at most: half of it goes on, and spreads."""
+
+
+@pytest.fixture
+def at_depth(draw: Draw) -> tuple[Callable[[int, int], np.ndarray], list[tuple[int, int]]]:
+    """The reference of few depths, and what was asked of it."""
+    noise = draw(np.ones_like(PICTURE), noise=0.02)
+    asked: list[tuple[int, int]] = []
+
+    def replicates(depth: int, count: int) -> np.ndarray:
+        asked.append((depth, count))
+        return noise[:count] * SCATTERED[depth - 1]
+
+    return replicates, asked
+
+
+@pytest.mark.parametrize(
+    ("depth", "change", "words"),
+    [
+        (1, same, "agrees if the reference has direct light alone: raise the limit of bounces of ours"),
+        (2, same, "agrees if light scatters 2 times at most in the reference too"),
+        (5, same, "agrees if light scatters 5 times at most in the reference too"),
+        (3, lambda image: np.roll(image, 1, 0), "shifted by 1 px up and light scatters 3 times at most"),
+        (4, lambda image: scipy.ndimage.gaussian_filter(image, (0.6, 0.6, 0)), "pixel filter; raise the limit of ours"),
+    ],
+)
+def test_light_that_ends_too_soon_is_hinted_at(draw: Draw, at_depth: Any, depth: int, change: Callable, words: str):
+    less, asked = at_depth
+    ours = change(SCATTERED[depth - 1]) * draw(np.ones_like(PICTURE), noise=0.02)
+    reference = draw(SCATTERED[-1], noise=0.02)
+    judgement = termwise.judge(ours, reference, at_depth=less)
+    assert words in hinted(judgement)
+    assert {at for at, count in asked if count > 4} == {depth}
+    assert len({at for at, _ in asked}) <= 7
+    assert judgement.hints[0].left < 0.01
+    assert not any("scatters" in hint.text for hint in termwise.judge(ours, reference).hints)
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict", "depths"),
+    [
+        (1.0, "EQUIVALENT", 0),
+        (1.05, "BIASED", 0),
+        (0.9, "BIASED", 7),
+        (np.where(X < 0.5, 1.0, 0.9)[..., None], "BIASED", 7),
+    ],
+)
+def test_another_cause_is_not_light_that_ends(draw: Draw, at_depth: Any, change: Any, verdict: str, depths: int):
+    """And where there is no light missing, none is rendered; where there is, few replicates suffice to refute it."""
+    less, asked = at_depth
+    sides = draw(SCATTERED[-1] * change, noise=0.02), draw(SCATTERED[-1], noise=0.02)
+    judgement = termwise.judge(*sides, at_depth=less)
+    assert judgement.verdict == verdict
+    assert not any("scatters" in hint.text for hint in judgement.hints)
+    assert len({at for at, _ in asked}) <= depths
+    assert {count for _, count in asked} <= {4}
+    asked.clear()
+    termwise.judge(*sides, at_depth=less, hint=False)
+    assert not asked
 
 
 def test_a_cause_is_refuted_on_a_part_of_a_large_image(draw: Draw, monkeypatch: pytest.MonkeyPatch):

@@ -51,6 +51,9 @@ from termwise.scenes.terms import TERMS, TermImage
         ({"scope": "all"}, "scope = 'all': means nothing to ambient: allowed are factor, transport, occluded"),
         ({"term": "direct", "lobe": 2.0}, "lobe = 2.0: means nothing to direct"),
         ({"term": "background", "rings": 3}, "rings = 3: means nothing to background"),
+        ({"depth": 2}, "depth = 2: allowed with transport = 'physical' alone"),
+        ({"depth": 0, "transport": "physical"}, "depth = 0: allowed is an integer of at least 1"),
+        ({"term": "background", "depth": 1, "transport": "physical"}, "depth = 1: means nothing to background"),
     ],
     ids=str,
 )
