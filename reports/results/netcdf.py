@@ -18,14 +18,17 @@ _COMPRESSED = 2**22
 """Numbers of the largest array that is compressed: of larger ones, noise that shrinks by a third takes seconds."""
 
 
+def _storage(values: Any) -> dict[str, Any]:
+    """How an array is stored, in HDF5's words, which xarray's writer takes too."""
+    return {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size <= _COMPRESSED else {}
+
+
 def write_netcdf(path: Path, groups: "dict[str, xarray.Dataset]") -> None:
     """Write datasets, by their paths in it, into one file, compressed; it appears whole or not at all."""
     import xarray  # here: a comparison of images, which is one flat dataset, does not wait a second for it
 
-    compressed = {"zlib": True, "complevel": 1, "shuffle": True}
     encoding = {
-        name: {each: compressed for each, values in dataset.data_vars.items() if values.size <= _COMPRESSED}
-        for name, dataset in groups.items()
+        name: {each: _storage(values) for each, values in dataset.data_vars.items()} for name, dataset in groups.items()
     }
     # By way of memory: HDF5 ends the whole process where a disk fills up under an open file.
     content = xarray.DataTree.from_dict(groups).to_netcdf(None, engine="h5netcdf", encoding=encoding)
@@ -49,6 +52,6 @@ def write_variables(
             if values.dtype == object:
                 file.create_variable(name, dimensions, h5py.string_dtype(), values)
                 continue
-            how = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size <= _COMPRESSED else {}
-            file.create_variable(name, dimensions, data=values, fillvalue=values.dtype.type(np.nan), **how)
+            fill = values.dtype.type(np.nan)
+            file.create_variable(name, dimensions, data=values, fillvalue=fill, **_storage(values))
     write_atomically(path, lambda temporary: temporary.write_bytes(content.getbuffer()))
