@@ -103,8 +103,9 @@ def test_an_engine_whose_light_ends_too_soon(tmp_path: Path, monkeypatch: pytest
     subjects = [engines.load(tmp_path / "ends.toml"), engines.load(ROOT / "examples" / "tiny_renderer.toml")]
     how = judging.Asking(replicates=8, spp=128, probed=False)
     rows = ("total", "direct all")
-    count = {"reference_spp": 64, "reference_replicates": 8}
-    judged = judging.compare(subjects, [box], tmp_path / "out", how, only=rows, **count)
+    judged = judging.compare(
+        subjects, [box], tmp_path / "out", how, only=rows, reference_spp=64, reference_replicates=8
+    )
     found = {each.name: each.judgement for each in judged.outcomes}
     assert len(found) == 4
     for name, judgement in found.items():
