@@ -57,7 +57,8 @@ docs: .venv/.installed ## Build the manual, without network, where any warning i
 test: .venv/.installed ## Run all tests that take some seconds at most
 	@.venv/bin/python -m tests.warm test $(JOBS)
 	.venv/bin/python -m pytest -q -n $(JOBS) --dist loadfile -m "not (slow or rare or plain)"
-	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) -m "(rare or plain) and not slow" tests/kernels
+	NUMBA_DISABLE_JIT=1 .venv/bin/python -m pytest -q -n $(JOBS) -m "(rare or plain) and not slow" tests/kernels \
+	  tests/oracle/test_shadow_rule.py
 
 exam: .venv/.installed ## Run what `make test` leaves out: what takes long, kernels of rare scenes, and all as plain Python
 	@.venv/bin/python -m tests.warm exam $(JOBS)

@@ -88,9 +88,6 @@ CASES = [
     ("window", BOX, "specular", None, RAYS, False),  # only the blocks are glossy
     ("window", half_black(), "ambient", None, RAYS, False),
     ("window", half_black(), "direct", None, RAYS, False),
-    pytest.param(
-        "window", attrs.evolve(half_black(), shadows="paper"), "ambient", None, RAYS, False, marks=pytest.mark.rare
-    ),
     ("window", MONKEY, "background", None, RAYS, False),
     ("window", attrs.evolve(MONKEY, objects=()), "background", None, RAYS, True),
     ("pixel", of_rule(CUBES, "corner"), "ambient", None, RAYS, False),
@@ -111,7 +108,14 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("skip", "scene", "term", "variant", "counter", "all_of_it"), CASES)
+# Kernels of their own.
+RARE = [("window", attrs.evolve(half_black(), shadows="paper"), "ambient", None, RAYS, False)]
+
+
+@pytest.mark.parametrize(
+    ("skip", "scene", "term", "variant", "counter", "all_of_it"),
+    [*CASES, *(pytest.param(*case, marks=pytest.mark.rare) for case in RARE)],
+)
 def test_a_skip_spares_work_and_no_byte(skip, scene, term, variant, counter, all_of_it, compiled):
     """The same bytes, and less of the work that the skip is about: none of it where the reason holds everywhere."""
     scene = of_size(scene, compiled)
