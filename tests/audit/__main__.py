@@ -104,6 +104,7 @@ def audit(
     if abs(detected - POWER) > POWER_WITHIN:
         failures.append(f"the printed detectable bias is found in {detected:.1%} of runs, not in {POWER:.0%}")
     failures += [f"control {shown}: {outcome.text}" for shown, outcome in controls.items() if outcome.caught]
+    failures += [f"fault {name}: {each.text}" for name, each in found.items() if each.verdict == faults.CRASHED]
     if caught < CAUGHT_LEAST * len(found):
         missed = [name for name, outcome in found.items() if not outcome.caught]
         failures.append(f"{caught} of {len(found)} faults caught; missed: {', '.join(missed)}")

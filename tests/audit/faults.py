@@ -40,7 +40,7 @@ TESTS = ("mean", "shape", "place", "border", "said", "check", "test")
 what is wrong, or a pixel that no radiance can be.
 """
 BIASED = WORDS["right"][0]
-REFUSED, SAID, FAILED, PASSED = "REFUSED", "SAID", "FAILED", "PASSED"
+REFUSED, SAID, FAILED, PASSED, CRASHED = "REFUSED", "SAID", "FAILED", "PASSED", "CRASHED"
 _RENDERED = "renderer", "scenes"
 _COPIED = *_RENDERED, "reference", "reports", "termwise", "tests"
 _FAILURE = 1  # exit status of pytest where tests fail, and nothing else is wrong
@@ -53,7 +53,7 @@ class Judged:
     Attributes
     ----------
     verdict : the row's word; REFUSED where an error stands in its place; SAID where the fault is too small for the
-        verdict, and its sentence says so; of a test FAILED or PASSED.
+        verdict, and its sentence says so; of a test FAILED or PASSED; CRASHED where nothing could be shown.
     by : those of TESTS that speak against it.
     text : the sentence, or the error.
     bias, standard_error : of the image's luminance, relative; None where there is none.
@@ -232,7 +232,8 @@ def run(
     Raises
     ------
     ValueError, RuntimeError
-        As `Tree.replicates` and `Tree.test`; all plants are tried against the sources before anything else.
+        As `Tree.replicates` and `Tree.test` without a fault; all plants are tried against the sources before anything
+        else.
     """
     for plant in plants:
         plant.changed(ROOT)
@@ -250,7 +251,12 @@ def run(
         truths = {case: truth(case, seed=seed) for case in cases}
         for done, ((plant, by), each) in enumerate(zip(work, shows, strict=True)):
             report(plant.name if plant else "without a fault", done, len(work))
-            result = each.result()
+            try:
+                result = each.result()
+            except RuntimeError as error:
+                if plant is None:
+                    raise
+                result = Judged(CRASHED, (), str(error))  # no catch, but the others are worth an hour
             if not isinstance(result, Judged):
                 assert isinstance(by, Case)
                 result = judge(result, truths[by])

@@ -341,7 +341,7 @@ PLANTS = (
         DIRECT,
         "scenes/library/cornell_box.toml",
         "translation = [-0.905, 0.716, 1.683]",
-        "translation = [-0.405, 0.216, 1.683]",
+        "translation = [-0.905, 0.416, 1.683]",
     ),
     Plant("1 % gain", DIRECT, _TILES, _OUT, "yield count, 1.01 * out / taken, seconds"),
     Plant(

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from termwise.renderer.plan import check, skipped
 from termwise.renderer.terms import find
+from termwise.scenes.load import load
 from termwise.scenes.store import ROOT
 from tests.audit import __main__ as command
 from tests.audit import faults, history, nulls, power
@@ -36,6 +37,13 @@ def test_every_plant_fits_the_sources(plant):
 
 
 CASES = list(dict.fromkeys(plant.shown for plant in ALL if isinstance(plant.shown, Case)))
+
+
+@pytest.mark.parametrize("plant", [plant for plant in ALL if plant.path.endswith(".toml")], ids=lambda each: each.name)
+def test_a_fault_of_a_scene_file_can_be_loaded(plant, tmp_path):
+    assert plant.changed(ROOT) != (ROOT / plant.path).read_text("utf-8")
+    (tmp_path / "scene.toml").write_text(plant.changed(ROOT), "utf-8")
+    load(tmp_path / "scene.toml")
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
@@ -89,13 +97,29 @@ def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree):
 
 
 def test_a_crash_catches_nothing(tree):
-    """A fault that ends the process is no catch of the verdict: it ends the audit, by name."""
+    """A fault that ends the process is no catch of the verdict: it is named."""
     first = '"""The paper'
     crash = attrs.evolve(
         GAIN, path="renderer/__init__.py", before=first, after=f'raise ArithmeticError("planted")\n{first}'
     )
     with pytest.raises(RuntimeError, match="planted"):
         tree.replicates(TINY, crash, seed=3)
+
+
+def test_a_fault_that_crashes_costs_the_audit_no_other(monkeypatch):
+    crash = attrs.evolve(GAIN, shown=TINY, name="a crash")
+
+    def show(plant, by, seed):
+        if plant is crash:
+            raise RuntimeError("planted")
+        return np.ones((4, 2, 2, 3)) if plant is None else np.full((4, 2, 2, 3), np.nan)
+
+    monkeypatch.setattr(faults, "truth", lambda case, *, seed: np.ones((4, 2, 2, 3)))
+    monkeypatch.setattr(faults, "_show", show)
+    with Threads(1) as threads:
+        _, found = faults.run((crash, attrs.evolve(GAIN, shown=TINY)), seed=3, executor=threads, report=lambda *_: None)
+        assert (found["a crash"].verdict, found["a crash"].text) == (faults.CRASHED, "planted")
+        assert [outcome.caught for outcome in found.values()] == [False, True]
 
 
 def test_a_fault_in_no_image_is_caught_by_its_test(tree):
@@ -278,6 +302,7 @@ def test_results_and_page(tmp_path, monkeypatch):
     """A small audit fills every row, and its page and table name each fault and what it fails by."""
     outcomes = {plant.name: faults.Judged("BIASED", ("mean",), "BIASED: by the mean.", 0.1, 0.001) for plant in ALL[1:]}
     outcomes[ALL[0].name] = faults.Judged("UNDERPOWERED", (), "UNDERPOWERED: who knows.", 0.1, 0.1)
+    outcomes[ALL[1].name] = faults.Judged(faults.CRASHED, (), "no image")
     controls = {BACKGROUND: faults.Judged("BIASED", ("mean",), "BIASED: a control.", 0.1, 0.001)}
     monkeypatch.setattr(faults, "run", lambda plants, **_: (controls, outcomes))
     few = {nulls.Null("skewed", "ours", 4, 8): nulls.Alarms(40, 1, 2)}
@@ -285,11 +310,12 @@ def test_results_and_page(tmp_path, monkeypatch):
     with Threads(1) as threads:
         results = command.audit(executor=threads, rendered_each=1, detections=1, rows=(), recorded=[])
     assert results["planted"] == len(ALL)
-    assert results["caught"] == len(ALL) - 1
+    assert results["caught"] == len(ALL) - 2
+    assert f"fault {ALL[1].name}: no image" in results["failures"]
     assert any("control background seen, two_cubes" in text for text in results["failures"])
     history.record(results, tmp_path / "history.json")
     (entry,) = history.read(tmp_path / "history.json")
-    assert entry["missed"] == [ALL[0].name]
+    assert set(entry["missed"]) == {ALL[0].name, ALL[1].name}
     assert history.fallen(entry, entry) == []
     page = command.write(tmp_path, results).read_text("utf-8")
     assert json.loads((tmp_path / "results.json").read_text("utf-8")) == results
