@@ -44,7 +44,8 @@ engines: .venv/.installed ## Other renderers, each into an environment of its ow
 
 gallery: .venv/.installed ## Engines, rightly and wrongly set, on two scenes: one page of pictures and verdicts; OUT=out
 	-@.venv/bin/termwise compare cornell_box_unshadowed monkey --diffuse --row total --no-probe --study quick \
-	  $(addprefix --engine ,mitsuba cycles luxcore $(wildcard reports/engines/settings/*.toml)) --out $(OUT)/gallery
+	  $(addprefix --engine ,mitsuba cycles luxcore $(wildcard reports/engines/settings/*.toml)) --out $(OUT)/gallery \
+	  $(if $(WORKERS),--workers $(WORKERS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 stress: .venv/.installed ## Exact properties under hostile input, beside the paper's code and Mitsuba; OUT=out
 	@.venv/bin/termwise stress --out $(OUT)

@@ -72,6 +72,7 @@ def compare(
     row: list[str] | None,
     probe: bool,
     approximate: bool,
+    executor: Any,
     out: Path,
     quiet: bool,
     json_: bool,
@@ -94,7 +95,7 @@ def compare(
     for scene in read:
         terminal.say_substitutions(scene)
     prepared = [neutral.diffuse(scene) if diffuse else scene for scene in read]
-    how = judging.Asking(replicates=chosen.replicates, seed=chosen.seed, spp=spp, probed=probe)
+    how = judging.Asking(replicates=chosen.replicates, seed=chosen.seed, spp=spp, probed=probe, executor=executor)
     folder = terminal.folder(out / "engines")
     with progress.stages(terminal.messages, quiet=quiet or json_, where=folder) as stage:
         judged = judging.compare(

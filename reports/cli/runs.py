@@ -78,25 +78,27 @@ def compare(
         Write report.html too: all pages in one file, to mail.
     """
     if engine:
-        given = {"budget": budget, "estimators": estimators, "workers": workers, "scheduler": scheduler}
-        for name, value in (given | {"single_file": single_file or None}).items():
+        given = {"budget": budget, "estimators": estimators, "single_file": single_file or None}
+        for name, value in given.items():
             if value is not None:
                 raise ValueError(f"{name}: allowed without --engine alone")
         terminal.choose_backend(backend)
-        return others.compare(
-            scenes,
-            engine,
-            study,
-            seed,
-            spp=spp,
-            diffuse=diffuse,
-            row=row,
-            probe=probe,
-            approximate=approximate,
-            out=out,
-            quiet=quiet,
-            json_=json_,
-        )
+        with _executor(workers, scheduler, None) as executor:
+            return others.compare(
+                scenes,
+                engine,
+                study,
+                seed,
+                spp=spp,
+                diffuse=diffuse,
+                row=row,
+                probe=probe,
+                approximate=approximate,
+                executor=executor,
+                out=out,
+                quiet=quiet,
+                json_=json_,
+            )
     from termwise.reports import run
     from termwise.reports.pages import report as page
     from termwise.reports.study import study as studies

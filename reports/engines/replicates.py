@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import attrs
 import numpy as np
@@ -19,6 +19,7 @@ from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atom
 
 if TYPE_CHECKING:
     from termwise.reports.jobs.cells import Seat
+    from termwise.reports.jobs.executors import Executor
     from termwise.scenes.model import Scene
 
 
@@ -210,11 +211,23 @@ def rendered(
     count: int,
     threads: int | None = None,
     together: int = 1,
+    executor: "Executor | None" = None,
     progress: Callable[[], object] | None = None,
 ) -> Images:
-    """Images of one scene, from the cache or rendered now; arguments as for `replicates` and `made`."""
+    """Images of one scene, from the cache or rendered now; arguments as for `replicates` and `made`.
+
+    `executor` : has them done, by its own threads; None: this process.
+    """
     jobs = replicates(engine, asked, spp=spp, seed=seed, count=count)
-    for _ in made(jobs, threads=threads, together=together):
+    for _ in made(jobs, threads=threads, together=together) if executor is None else _by(executor, jobs):
         if progress:
             progress()
     return collected(jobs, cache_folder())
+
+
+def _by(executor: "Executor", jobs: Sequence[EngineReplicate]) -> Iterator[EngineReplicate]:
+    """Have an executor do jobs; yields each when it is done."""
+    for outcome in executor.run(jobs, cache_folder(), lambda job: False):
+        if outcome.error is not None:
+            raise outcome.error
+        yield cast(EngineReplicate, outcome.job)

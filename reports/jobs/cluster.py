@@ -474,10 +474,16 @@ class _Run:
 
 
 def _unbound(job: Job) -> Callable[..., Job]:
-    """A job without its scene, which is sent once for all."""
+    """A job without its scene, which is sent once for all; one that has it within another value is whole."""
     kind: Any = type(job)
-    fields = {field.name: getattr(job, field.name) for field in attrs.fields(kind) if field.name != "scene"}
+    fields = {field.name: getattr(job, field.name) for field in attrs.fields(kind)}
+    if fields.pop("scene", None) is None:
+        return functools.partial(_whole, job)
     return functools.partial(kind, **fields)
+
+
+def _whole(job: Job, scene: Scene) -> Job:
+    return job
 
 
 def _threads(client: Client) -> dict[str, int]:

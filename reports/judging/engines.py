@@ -7,7 +7,7 @@ import functools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -30,6 +30,9 @@ from termwise.scenes.model import Scene
 from termwise.scenes.store import cache_folder
 from termwise.scenes.terms import TermImage, total
 
+if TYPE_CHECKING:
+    from termwise.reports.jobs.executors import Executor
+
 _LEAST = 4
 """Replicates that a comparison needs: an image without noise stands for so many."""
 _SHORTFALL = "reference shortfall"
@@ -47,6 +50,7 @@ class Asking:
     threads : None: one a core.
     probed : whether an engine is probed before it is believed.
     together : runs of an engine at a time, which share the threads.
+    executor : has engines run, in other processes; None: this one.
     """
 
     replicates: int = 16
@@ -55,6 +59,7 @@ class Asking:
     threads: int | None = None
     probed: bool = True
     together: int = 1
+    executor: "Executor | None" = None
 
     def samples(self, engine: Engine) -> int:
         """Samples per pixel of an engine."""
@@ -183,6 +188,7 @@ def _rendered(engine: Engine, part: Asked, how: Asking, progress: Callable[[], o
         count=how.replicates,
         threads=how.threads,
         together=how.together,
+        executor=how.executor,
         progress=progress,
     )
 

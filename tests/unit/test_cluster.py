@@ -19,12 +19,16 @@ import numpy as np
 import pytest
 
 from termwise.renderer.terms import find, register
+from termwise.reports.engines import engine
+from termwise.reports.engines.asked import Asked
+from termwise.reports.engines.replicates import rendered
 from termwise.reports.jobs import cells, cluster
 from termwise.reports.jobs.cluster import Cluster, ClusterError, Machine, connected
 from termwise.reports.jobs.executors import InThisProcess, Worker
+from termwise.scenes.exchange import neutral
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
-from termwise.scenes.store import cache_folder, write_atomically
+from termwise.scenes.store import ROOT, cache_folder, write_atomically
 from tests.scenes import small
 
 pytestmark = [
@@ -267,6 +271,22 @@ def test_what_cannot_be_connected(given: dict, words: str, monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
     with pytest.raises(ValueError, match=words), connected(print, **given):
         pass
+
+
+def test_engines_run_on_workers(two: Cluster, tmp_path: Path, monkeypatch):
+    """The same images as by this process, and an engine's own words where it fails there."""
+    told = (ROOT / "examples" / "tiny_renderer.toml").read_text("utf-8")
+    (tmp_path / "fails.toml").write_text(told, "utf-8")
+    (tmp_path / "tiny_renderer.py").write_text("raise SystemExit('no licence is left')", "utf-8")
+    box = Asked.of("box", neutral.diffuse(small("cornell_box_unshadowed", 6, 4)), 2)
+    stacks = []
+    for name, executor in (("here", None), ("there", two)):
+        monkeypatch.setenv("TERMWISE_CACHE", str(tmp_path / name))
+        tiny = engine.load(ROOT / "examples" / "tiny_renderer.toml")
+        stacks.append(rendered(tiny, box, spp=4, seed=1, count=3, executor=executor).stack)
+    np.testing.assert_array_equal(*stacks)
+    with pytest.raises(ValueError, match="no licence is left"):
+        rendered(engine.load(tmp_path / "fails.toml"), box, spp=1, seed=1, count=1, executor=two)
 
 
 def test_the_scheduler_s_end_is_one_line(tmp_path: Path):
