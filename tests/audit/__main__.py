@@ -52,6 +52,7 @@ def audit(
     rows: tuple[nulls.Rendered, ...] = nulls.ROWS,
     plants: tuple[Plant, ...] = ALL,
     seed: int = 1,
+    ahead: tuple[int, ...] = (),
     executor: Executor,
     recorded: list[dict[str, Any]] | None = None,
     stages: progress.Stages = lambda name: progress.silent,
@@ -64,6 +65,7 @@ def audit(
         itself, and runs that are given the bias that they print.
     rows, plants : what is rendered.
     seed : of everything random.
+    ahead : seeds of later runs, for which the images of cases and faults are rendered as well, and kept.
     executor : its processes draw and render, each in a copy of the sources.
     recorded : runs of the history; by default those that are kept.
     stages : shows the progress.
@@ -79,7 +81,7 @@ def audit(
     of_rows = nulls.rendered(rendered_each, seed=seed, rows=rows, report=stages("rendered nulls"))
     usual, synthetic, rendered = (sum(each.values(), Alarms()) for each in (of_laws, of_all, of_rows))
     detected = share_found(np.random.default_rng(seed), detections)
-    controls, found = faults.run(plants, seed=seed, executor=executor, report=stages("planted faults"))
+    controls, found = faults.run(plants, seed=seed, ahead=ahead, executor=executor, report=stages("planted faults"))
     caught = sum(outcome.caught for outcome in found.values())
     welch = stats.binomtest(usual.welch, usual.runs, LEVEL)
     interval = welch.proportion_ci(1 - BLIND)
@@ -218,6 +220,7 @@ def main(
     *,
     out: Path = Path("out"),
     seed: int = 1,
+    ahead: Annotated[tuple[int, ...], Parameter(negative="")] = (),
     jobs: int = os.cpu_count() or 1,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -232,6 +235,8 @@ def main(
         Gets audit/results.json and audit/index.html.
     seed
         Of everything random.
+    ahead
+        Seeds of later runs, whose images are rendered too, and kept: kernels of a fault are compiled but once.
     jobs
         Processes at once.
     workers
@@ -247,7 +252,7 @@ def main(
         _executor(jobs, workers, scheduler) as executor,
         progress.stages(Console(stderr=True), quiet=quiet, where=out / "audit") as stages,
     ):
-        results = audit(seed=seed, executor=executor, stages=stages)
+        results = audit(seed=seed, ahead=ahead, executor=executor, stages=stages)
     console = Console(width=None if sys.stdout.isatty() else 140)
     show(console, results)
     if record:

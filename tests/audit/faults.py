@@ -5,6 +5,7 @@ sources as they are. A fault that is in no image is shown by a test, which runs 
 is judged and each test run without a fault as well: were a control BIASED, faults caught there would say nothing.
 """
 
+import functools
 import hashlib
 import json
 import os
@@ -106,8 +107,12 @@ class Tree:
             shutil.copytree(ROOT / package, self.root / package, symlinks=True, ignore=ignored)
         shutil.copy2(ROOT / "pyproject.toml", self.root)
 
-    def replicates(self, case: Case, plant: Plant | None = None, *, seed: int) -> np.ndarray:
+    def replicates(
+        self, case: Case, plant: Plant | None = None, *, seed: int, ahead: tuple[int, ...] = ()
+    ) -> np.ndarray:
         """Replicates (K, H, W, 3) of a case with a fault planted; kept in the cache by the content of both.
+
+        Those of seeds `ahead` are rendered and kept as well: kernels of a fault are compiled for all of them at once.
 
         Raises
         ------
@@ -117,17 +122,19 @@ class Tree:
             The copy cannot be rendered: the process says why. A crash catches nothing.
         """
         content = attrs.astuple(case), case.build().digest(), Path(worker.__file__).read_text("utf-8")
-        path = self._kept(_RENDERED, plant, (content, seed, REPLICATES)).with_suffix(".npy")
-
-        def render(images: Path) -> None:
-            settings = json.dumps({"case": attrs.asdict(case), "count": REPLICATES, "seed": seed})
-            done = self._run([worker.__file__, settings, str(images.resolve())], plant)
+        paths = {
+            each: self._kept(_RENDERED, plant, (content, each, REPLICATES)).with_suffix(".npy")
+            for each in (seed, *ahead)
+        }
+        if missing := [each for each, path in paths.items() if not path.is_file()]:
+            images = self.root / "images.npy"
+            settings = json.dumps({"case": attrs.asdict(case), "count": REPLICATES, "seeds": missing})
+            done = self._run([worker.__file__, settings, str(images)], plant)
             if done.returncode:
                 raise RuntimeError(f"{case}: {done.stderr.strip().splitlines()[-1]}")
-
-        if not path.is_file():
-            write_atomically(path, render)
-        return np.load(path)
+            for each, rendered in zip(missing, np.load(images), strict=True):
+                write_atomically(paths[each], functools.partial(np.save, arr=rendered))
+        return np.load(paths[seed])
 
     def test(self, tests: tuple[Test, ...], plant: Plant | None = None) -> Judged:
         """Run tests with a fault planted, all of them compiled or none; the outcome is kept as replicates are.
@@ -207,22 +214,29 @@ def truth(case: Case, *, seed: int) -> np.ndarray:
 _trees: SimpleQueue[Tree] = SimpleQueue()
 
 
-def _show(plant: Plant | None, by: Case | tuple[Test, ...], seed: int) -> np.ndarray | Judged:
+def _show(plant: Plant | None, by: Case | tuple[Test, ...], seed: int, ahead: tuple[int, ...]) -> np.ndarray | Judged:
     """Replicates of a case, or what became of tests, with a fault planted in a copy of the sources."""
     try:
         tree = _trees.get_nowait()
     except Empty:
         tree = Tree()
     try:
-        return tree.replicates(by, plant, seed=seed) if isinstance(by, Case) else tree.test(by, plant)
+        return tree.replicates(by, plant, seed=seed, ahead=ahead) if isinstance(by, Case) else tree.test(by, plant)
     finally:
         _trees.put(tree)
 
 
 def run(
-    plants: tuple[Plant, ...], *, seed: int, executor: Executor, report: Callable[[str, int, int], object]
+    plants: tuple[Plant, ...],
+    *,
+    seed: int,
+    ahead: tuple[int, ...] = (),
+    executor: Executor,
+    report: Callable[[str, int, int], object],
 ) -> tuple[dict[Case | Test, Judged], dict[str, Judged]]:
     """Judge every case and run every test without a fault, then every fault, in an executor's processes.
+
+    Images of seeds `ahead` are kept for later runs.
 
     Returns
     -------
@@ -246,7 +260,7 @@ def run(
     work += [(plant, plant.shown if isinstance(plant.shown, Case) else (plant.shown,)) for plant in plants]
     controls: dict[Case | Test, Judged] = {}
     found: dict[str, Judged] = {}
-    shows = [executor.submit(_show, plant, by, seed) for plant, by in work]
+    shows = [executor.submit(_show, plant, by, seed, ahead) for plant, by in work]
     try:
         truths = {case: truth(case, seed=seed) for case in cases}
         for done, ((plant, by), each) in enumerate(zip(work, shows, strict=True)):

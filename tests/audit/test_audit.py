@@ -85,14 +85,19 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[faults.Tree]:
 
 
 @pytest.mark.slow
-def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree):
+def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree, monkeypatch):
     """The gain is exact, the sources stay as they are, and what follows in the same copy has no fault."""
     source = (ROOT / GAIN.path).read_bytes()
-    fault = tree.replicates(TINY, GAIN, seed=3)
+    fault = tree.replicates(TINY, GAIN, seed=3, ahead=(5,))
     sound = tree.replicates(TINY, seed=3)
+    later = tree.replicates(TINY, seed=5)
     assert (tree.root / GAIN.path).read_bytes() == source
     assert fault.shape == (faults.REPLICATES, 2, 2, 3)
     np.testing.assert_allclose(fault, 1.01 * sound, rtol=1e-6)
+    # What was rendered ahead is the fault's, of its own seed, and needs no process any more.
+    monkeypatch.setattr(tree, "_run", None)
+    np.testing.assert_allclose(tree.replicates(TINY, GAIN, seed=5), 1.01 * later, rtol=1e-6)
+    assert not np.array_equal(sound, later)
     assert (ROOT / GAIN.path).read_bytes() == source
 
 
@@ -109,7 +114,7 @@ def test_a_crash_catches_nothing(tree):
 def test_a_fault_that_crashes_costs_the_audit_no_other(monkeypatch):
     crash = attrs.evolve(GAIN, shown=TINY, name="a crash")
 
-    def show(plant, by, seed):
+    def show(plant, by, seed, ahead):
         if plant is crash:
             raise RuntimeError("planted")
         return np.ones((4, 2, 2, 3)) if plant is None else np.full((4, 2, 2, 3), np.nan)

@@ -1,7 +1,7 @@
 """Renders replicates in a tree of sources that is not this one: `python worker.py CASE IMAGES`, its root the path.
 
-CASE is a case as JSON, IMAGES the file for what comes out, (K, H, W, 3) float32. Nothing but `renderer` and `scenes`
-is imported: a fault may be planted in any of their files, and in no other is an image made.
+CASE is a case as JSON, with seeds, IMAGES the file for what comes out, (seeds, K, H, W, 3) float32. Nothing but
+`renderer` and `scenes` is imported: a fault may be planted in any of their files, and in no other is an image made.
 """
 
 import json
@@ -245,4 +245,5 @@ if __name__ == "__main__":
     if not Path(renderer.__file__).is_relative_to(Path.cwd()):
         sys.exit(f"{renderer.__file__}: not of the tree {Path.cwd()}")
     settings = json.loads(sys.argv[1])
-    np.save(sys.argv[2], replicates(Case(**settings["case"]), settings["count"], settings["seed"]))
+    case = Case(**settings["case"])
+    np.save(sys.argv[2], [replicates(case, settings["count"], seed) for seed in settings["seeds"]])
