@@ -1,4 +1,4 @@
-"""Planted faults shown: the tree of sources is copied, one fault at a time is planted in the copy.
+"""Planted faults shown: the tree of sources is copied, and a fault is planted in the copy, or switched on in it.
 
 A process of its own renders an image with the copy's renderer; what it is judged against, Mitsuba renders from the
 sources as they are. A fault that is in no image is shown by a test, which runs in the copy as plain Python. Each case
@@ -13,11 +13,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor, wait
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import Any, Self
 
 import attrs
 import numpy as np
@@ -28,7 +28,7 @@ from termwise.reports.statistics.accumulation import BORDERS, measure
 from termwise.reports.statistics.rule import decide
 from termwise.reports.statistics.verdict import WORDS
 from termwise.scenes.store import ROOT, cache_folder, sources_digest, write_atomically
-from tests.audit import worker
+from tests.audit import switches, worker
 from tests.audit.plants import Plant, Test
 from tests.audit.worker import Case
 from tests.verdict.synthetic import RUN
@@ -96,23 +96,44 @@ def _test(reason: str) -> str:
     return next((test for words, test in opening.items() if reason.startswith(words)), "check")
 
 
+@attrs.frozen
 class Tree:
-    """A copy of the sources in a folder that vanishes with it; kernels compiled there serve all faults."""
+    """A copy of the sources; kernels compiled there serve all that is rendered in it.
 
-    def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="termwise-audit-")
-        self.root = Path(self._folder.name) / "tree"
+    Attributes
+    ----------
+    root : its folder.
+    switches : numbers of the faults, by name, that stand in it already and are switched on.
+    """
+
+    root: Path
+    switches: Mapping[str, int] = attrs.field(factory=dict)
+
+    @classmethod
+    def copied(cls, folder: Path, plants: Sequence[Plant] = ()) -> Self:
+        """Copy the sources into `folder`, with those of the faults that can be switched.
+
+        Raises
+        ------
+        ValueError
+            A plant does not fit the sources.
+        """
+        root = folder / "tree"
         for package in _COPIED:
             ignored = shutil.ignore_patterns("__pycache__")
-            shutil.copytree(ROOT / package, self.root / package, symlinks=True, ignore=ignored)
-        shutil.copy2(ROOT / "pyproject.toml", self.root)
+            shutil.copytree(ROOT / package, root / package, symlinks=True, ignore=ignored)
+        shutil.copy2(ROOT / "pyproject.toml", root)
+        texts, numbers = switches.switched(plants, ROOT)
+        for path, text in {**texts, f"{switches.MODULE}.py": switches.SOURCE}.items():
+            (root / path).write_text(text, "utf-8")
+        return cls(root, {plants[number].name: number for number in numbers})
 
     def replicates(
         self, case: Case, plant: Plant | None = None, *, seed: int, ahead: tuple[int, ...] = ()
     ) -> np.ndarray:
-        """Replicates (K, H, W, 3) of a case with a fault planted; kept in the cache by the content of both.
+        """Replicates (K, H, W, 3) of a case with a fault; kept in the cache by the content of both.
 
-        Those of seeds `ahead` are rendered and kept as well: kernels of a fault are compiled for all of them at once.
+        Those of seeds `ahead` are rendered and kept as well.
 
         Raises
         ------
@@ -127,13 +148,14 @@ class Tree:
             for each in (seed, *ahead)
         }
         if missing := [each for each, path in paths.items() if not path.is_file()]:
-            images = self.root / "images.npy"
             settings = json.dumps({"case": attrs.asdict(case), "count": REPLICATES, "seeds": missing})
-            done = self._run([worker.__file__, settings, str(images)], plant)
-            if done.returncode:
-                raise RuntimeError(f"{case}: {done.stderr.strip().splitlines()[-1]}")
-            for each, rendered in zip(missing, np.load(images), strict=True):
-                write_atomically(paths[each], functools.partial(np.save, arr=rendered))
+            with tempfile.TemporaryDirectory() as folder:
+                images = Path(folder) / "images.npy"
+                done = self._run([worker.__file__, settings, str(images)], plant)
+                if done.returncode:
+                    raise RuntimeError(f"{case}: {done.stderr.strip().splitlines()[-1]}")
+                for each, rendered in zip(missing, np.load(images), strict=True):
+                    write_atomically(paths[each], functools.partial(np.save, arr=rendered))
         return np.load(paths[seed])
 
     def test(self, tests: tuple[Test, ...], plant: Plant | None = None) -> Judged:
@@ -173,9 +195,11 @@ class Tree:
         return cache_folder() / "audit" / hashlib.sha256(repr((what, sources, fault)).encode()).hexdigest()
 
     def _run(self, words: list[str], plant: Plant | None, **environment: str) -> subprocess.CompletedProcess[str]:
-        """Python in the copy, with the fault in it meanwhile."""
-        if plant is not None:
-            (self.root / plant.path).write_text(plant.changed(ROOT), "utf-8")
+        """Python in the copy, with the fault on or in it meanwhile."""
+        switch = switches.NONE if plant is None else self.switches.get(plant.name, switches.NONE)
+        planted = plant if switch == switches.NONE else None
+        if planted is not None:
+            (self.root / planted.path).write_text(planted.changed(ROOT), "utf-8")
         try:
             return subprocess.run(
                 [sys.executable, *words],
@@ -184,6 +208,7 @@ class Tree:
                     "PYTHONPATH": str(self.root),
                     "PYTHONDONTWRITEBYTECODE": "1",
                     "TERMWISE_CACHE": str(self.root / "cache"),
+                    switches.VARIABLE: str(switch),
                 }
                 | environment,
                 cwd=self.root,
@@ -192,9 +217,9 @@ class Tree:
                 check=False,
             )
         finally:
-            if plant is not None:
+            if planted is not None:
                 # With its time of change: by that Numba knows which kernels are still good.
-                shutil.copy2(ROOT / plant.path, self.root / plant.path)
+                shutil.copy2(ROOT / planted.path, self.root / planted.path)
 
 
 def truth(case: Case, *, seed: int) -> np.ndarray:
@@ -210,16 +235,25 @@ def truth(case: Case, *, seed: int) -> np.ndarray:
     return store.replicates(scene, limit, spp=spp, seed=seed, count=REPLICATES, folder=folder).images
 
 
-# Copies in this process that nobody uses. A process has as many as it was ever asked for at once.
+# Copies of this process alone that nobody uses; it has as many as it was ever asked for at once. They vanish with it.
 _trees: SimpleQueue[Tree] = SimpleQueue()
+_folders: list[tempfile.TemporaryDirectory[str]] = []
 
 
-def _show(plant: Plant | None, by: Case | tuple[Test, ...], seed: int, ahead: tuple[int, ...]) -> np.ndarray | Judged:
-    """Replicates of a case, or what became of tests, with a fault planted in a copy of the sources."""
+def _show(
+    plant: Plant | None, by: Case | tuple[Test, ...], seed: int, ahead: tuple[int, ...], common: Tree
+) -> np.ndarray | Judged:
+    """Replicates of a case, or what became of tests, with a fault.
+
+    It is switched on in the copy that all processes of a machine have in common, or planted in one of their own.
+    """
+    if isinstance(by, Case) and (plant is None or plant.name in common.switches) and common.root.is_dir():
+        return common.replicates(by, plant, seed=seed, ahead=ahead)
     try:
         tree = _trees.get_nowait()
     except Empty:
-        tree = Tree()
+        _folders.append(tempfile.TemporaryDirectory(prefix="termwise-audit-"))
+        tree = Tree.copied(Path(_folders[-1].name))
     try:
         return tree.replicates(by, plant, seed=seed, ahead=ahead) if isinstance(by, Case) else tree.test(by, plant)
     finally:
@@ -260,7 +294,9 @@ def run(
     work += [(plant, plant.shown if isinstance(plant.shown, Case) else (plant.shown,)) for plant in plants]
     controls: dict[Case | Test, Judged] = {}
     found: dict[str, Judged] = {}
-    shows = [executor.submit(_show, plant, by, seed, ahead) for plant, by in work]
+    folder = tempfile.TemporaryDirectory(prefix="termwise-audit-")
+    common = Tree.copied(Path(folder.name), [plant for plant in plants if isinstance(plant.shown, Case)])
+    shows = [executor.submit(_show, plant, by, seed, ahead, common) for plant, by in work]
     try:
         truths = {case: truth(case, seed=seed) for case in cases}
         for done, ((plant, by), each) in enumerate(zip(work, shows, strict=True)):
@@ -283,5 +319,7 @@ def run(
     finally:
         for each in shows:
             each.cancel()
+        wait(shows)
+        folder.cleanup()
     report("faults", len(work), len(work))
     return controls, found

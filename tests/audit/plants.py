@@ -371,14 +371,14 @@ PLANTS = (
         DIRECT,
         _TILES,
         _OUT,
-        "out[3, 5, 1] = np.nan if count == samples else out[3, 5, 1]\n            " + _OUT,
+        "out[3, 5, 1] = np.nan if count == request.samples else out[3, 5, 1]\n            " + _OUT,
     ),
     Plant(
         "a negative pixel",
         DIRECT,
         _TILES,
         _OUT,
-        "out[3, 5, 1] *= -1.0 if count == samples else 1.0\n            " + _OUT,
+        "out[3, 5, 1] *= -1.0 if count == request.samples else 1.0\n            " + _OUT,
     ),
     Plant(
         "the same samples in all replicates",
@@ -766,7 +766,7 @@ PLANTS = (
         LEAF_PHOTONS,
         _TRACING,
         "wi = scattered(scene.materials.translucency, surface, u, v)",
-        "wi = scattered(0.0 * scene.materials.translucency, surface, u, v)",
+        "wi = scattered(None, surface, u, v)",
     ),
     # Transparency.
     Plant(

@@ -1,7 +1,11 @@
 """The audit's own machinery, on few runs: `make audit` counts the many."""
 
+import ast
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor as Threads
 from queue import SimpleQueue
@@ -16,7 +20,7 @@ from termwise.renderer.terms import find
 from termwise.scenes.load import load
 from termwise.scenes.store import ROOT
 from tests.audit import __main__ as command
-from tests.audit import faults, history, nulls, power
+from tests.audit import faults, history, nulls, power, switches
 from tests.audit.plants import BACKGROUND, PLANTS, Test
 from tests.audit.unseen import ALL, UNSEEN
 from tests.audit.worker import Case
@@ -36,6 +40,16 @@ def test_every_plant_fits_the_sources(plant):
         compile(changed, plant.path, "exec")
 
 
+def test_a_fault_names_nothing_that_is_not_there(tmp_path):
+    """One that fails with a NameError would be found so after an hour, and be no fault of an image."""
+    for number, plant in enumerate(ALL):
+        if plant.path.endswith(".py"):
+            (tmp_path / f"fault{number}.py").write_text(plant.changed(ROOT), "utf-8")
+    words = ["ruff", "check", "--isolated", "--no-cache", "--select", "F821", "--output-format", "concise", tmp_path]
+    done = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 CASES = list(dict.fromkeys(plant.shown for plant in ALL if isinstance(plant.shown, Case)))
 
 
@@ -52,6 +66,107 @@ def test_every_case_is_a_scene_that_its_variant_fits(case: Case):
     check(scene, variant)
     assert skipped(scene, variant.term) is None
     assert variant.limit(scene, case.samples).term == case.term
+
+
+class _Turned(ast.NodeTransformer):
+    """Sources with the switches turned to one fault, as if no other had ever been there."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.AST | None:
+        return None if node.module == switches.MODULE else node
+
+    def visit_If(self, node: ast.If) -> ast.stmt | list[ast.stmt]:
+        self.generic_visit(node)
+        match node.test:
+            case ast.Compare(left=ast.Call(func=ast.Name(id="planted")), comparators=[ast.Constant(value=number)]):
+                return node.body if number == self.number else node.orelse
+        return node
+
+
+def test_a_switch_that_is_on_is_the_fault_and_nothing_else():
+    """With none on the sources are as they were; each file that is held behind switches is tried with each of them."""
+    texts, held = switches.switched(PLANTS, ROOT)
+    for path, text in texts.items():
+        compile(text, path, "exec")
+        sound = ast.parse((ROOT / path).read_text("utf-8"))
+        here = {number: ast.parse(PLANTS[number].changed(ROOT)) for number in held if PLANTS[number].path == path}
+        assert here
+        for number, faulty in {switches.NONE: sound, **here}.items():
+            assert ast.dump(_Turned(number).visit(ast.parse(text))) == ast.dump(faulty)
+
+
+def test_nearly_all_faults_of_images_can_be_switched():
+    """Each that cannot has kernels of its own compiled."""
+    shown = [plant for plant in PLANTS if isinstance(plant.shown, Case) and plant.path.endswith(".py")]
+    assert len(switches.switched(shown, ROOT)[1]) >= 0.9 * len(shown)
+
+
+_SOURCE = '''"""A module."""
+
+from __future__ import annotations
+
+ONE = 1.0
+
+
+@wrapped(
+    ONE,
+)
+def f(x: float) -> float:
+    for i in range(2):
+        if x > i:
+            y = x
+        elif x < -i:
+            # A comment.
+            y = (
+                x
+                + ONE
+            )
+        else:
+            y = 0.0
+    return y
+'''
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "first"),
+    [
+        ("ONE = 1.0", "ONE = 2.0", None),
+        ("    ONE,\n", "    2.0,\n", None),
+        ("x: float", "x: int", None),
+        ("return y", "return 2.0 * y", "    if planted() == 0:"),
+        ("                + ONE\n", "", "            if planted() == 0:"),
+        ("x > i", "x >= i", "        if planted() == 0:"),
+        ("x < -i", "x <= -i", "        if planted() == 0:"),
+        ("# A comment.\n            y = (", "z = 0\n            y = (", "        if planted() == 0:"),
+        ("range(2)", "range(3)", "    if planted() == 0:"),
+        ("            y = x\n", "", "            if planted() == 0:"),
+    ],
+)
+def test_a_switch_stands_around_whole_statements_of_a_function(tmp_path, before, after, first):
+    """Around the least of them; there is none around what is defined once: a constant, a decorator, a signature."""
+    (tmp_path / "module.py").write_text(_SOURCE, "utf-8")
+    plant = attrs.evolve(GAIN, path="module.py", before=before, after=after)
+    texts, held = switches.switched([plant], tmp_path)
+    assert held == (frozenset() if first is None else {0})
+    if first is not None:
+        text = texts["module.py"]
+        compile(text, "module.py", "exec")
+        assert first in text.splitlines()
+        sound = ast.dump(_Turned(switches.NONE).visit(ast.parse(text)))
+        assert sound == ast.dump(ast.parse(_SOURCE))
+
+
+def test_faults_that_meet_stand_behind_one_switch(tmp_path):
+    (tmp_path / "module.py").write_text(_SOURCE, "utf-8")
+    pairs = [("x > i", "x >= i"), ("                + ONE\n", ""), ("            y = 0.0", "            y = 1.0")]
+    plants = [attrs.evolve(GAIN, path="module.py", before=before, after=after) for before, after in pairs]
+    texts, held = switches.switched(plants, tmp_path)
+    assert held == {0, 1, 2}
+    for number, plant in enumerate(plants):
+        turned = ast.dump(_Turned(number).visit(ast.parse(texts["module.py"])))
+        assert turned == ast.dump(ast.parse(plant.changed(tmp_path)))
 
 
 def test_plants_are_enough_and_have_names_of_their_own():
@@ -81,7 +196,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[faults.Tree]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TERMWISE_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setenv("NUMBA_DISABLE_JIT", "1")
-        yield faults.Tree()
+        yield faults.Tree.copied(tmp_path_factory.mktemp("audit"))
 
 
 @pytest.mark.slow
@@ -95,7 +210,7 @@ def test_a_copy_is_rendered_with_its_fault_and_without_it_again(tree, monkeypatc
     assert fault.shape == (faults.REPLICATES, 2, 2, 3)
     np.testing.assert_allclose(fault, 1.01 * sound, rtol=1e-6)
     # What was rendered ahead is the fault's, of its own seed, and needs no process any more.
-    monkeypatch.setattr(tree, "_run", None)
+    monkeypatch.setattr(faults.Tree, "_run", None)
     np.testing.assert_allclose(tree.replicates(TINY, GAIN, seed=5), 1.01 * later, rtol=1e-6)
     assert not np.array_equal(sound, later)
     assert (ROOT / GAIN.path).read_bytes() == source
@@ -114,7 +229,7 @@ def test_a_crash_catches_nothing(tree):
 def test_a_fault_that_crashes_costs_the_audit_no_other(monkeypatch):
     crash = attrs.evolve(GAIN, shown=TINY, name="a crash")
 
-    def show(plant, by, seed, ahead):
+    def show(plant, by, seed, ahead, common):
         if plant is crash:
             raise RuntimeError("planted")
         return np.ones((4, 2, 2, 3)) if plant is None else np.full((4, 2, 2, 3), np.nan)
@@ -135,6 +250,21 @@ def test_a_fault_in_no_image_is_caught_by_its_test(tree):
     found = tree.test((plant.shown,), plant)
     assert (found.verdict, found.by, found.caught) == (faults.FAILED, ("test",), True)
     assert "test_strangers_are_refused" in found.text
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="is about kernels")
+def test_a_switch_in_a_kernel_gives_the_bits_of_the_fault_alone(tmp_path, monkeypatch):
+    plant = next(plant for plant in PLANTS if plant.name == "sky: left for right")
+    case = attrs.evolve(BACKGROUND, side=4, samples=1)
+    images = []
+    for name, plants in ("switched", [plant]), ("planted", []):
+        monkeypatch.setenv("TERMWISE_CACHE", str(tmp_path / name))
+        tree = faults.Tree.copied(tmp_path / name, plants)
+        assert bool(tree.switches) == (name == "switched")
+        images.append([tree.replicates(case, each, seed=3) for each in (None, plant)])
+    np.testing.assert_array_equal(*images)
+    assert not np.array_equal(*images[0])
 
 
 @pytest.mark.slow
