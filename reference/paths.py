@@ -83,7 +83,7 @@ def vertex(scene: Any, si: Any, sampler: Any, active: Any) -> tuple[Any, Any, An
     lit = active & (ds.pdf > 0.0)
     value, pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), lit)
     lit &= dr.any(value != 0.0)
-    lit &= ~scene.ray_test(rays.segment(si, ds.p, rays.normal_of(ds)), lit)
+    lit &= ~rays.meets(scene, rays.segment(si, ds.p, rays.normal_of(ds)), lit)
     # Lobe sampling cannot meet a point light.
     share = dr.select(ds.delta, 1.0, _power_heuristic(ds.pdf, pdf))
     color = dr.select(lit, value * light * share, 0.0)

@@ -82,6 +82,17 @@ def normal_of(ds: Any) -> Any:
     return dr.select(ds.delta, mi.Normal3f(0.0), ds.n)
 
 
+def meets(scene: Any, ray: Any, active: Any) -> Any:
+    """Whether anything lies on a ray, in the place of Mitsuba's `ray_test`.
+
+    This errs about spheres: from 20 radii away a quarter of the points of their near side are hidden by themselves,
+    from 30 half of them. What is nearest on a ray is right to LIFT, so that where there are spheres it is asked for.
+    """
+    if all(shape.is_mesh() for shape in scene.shapes()):
+        return scene.ray_test(ray, active)
+    return scene.ray_intersect_preliminary(ray, active=active).is_valid()
+
+
 def leave(loaded: Any, scene: Any, si: Any, ray: Any, active: Any) -> tuple[Any, Any]:
     """What a ray from `si`, a point of this very scene, meets; and the ray from behind the last face that it passes."""
     met = scene.ray_intersect(ray, active)
@@ -91,7 +102,7 @@ def leave(loaded: Any, scene: Any, si: Any, ray: Any, active: Any) -> tuple[Any,
 def blocked(loaded: Any, scene: Any, si: Any, ray: Any, active: Any) -> Any:
     """Whether anything lies on a ray from `si`, a point of this very scene, that ends at `ray.maxt`."""
     if loaded.description["ignore"] == "face":
-        return scene.ray_test(ray, active)
+        return meets(scene, ray, active)
     _, met = _through(scene, si.shape, ray, scene.ray_intersect(ray, active), active)
     return met.is_valid()
 

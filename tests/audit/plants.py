@@ -104,7 +104,7 @@ SKYLIT = Case("skylit two_cubes", "ambient", "cosine", samples=64)
 IMAGES = Case("textured two_cubes", "ambient", "cosine", samples=64)
 GLOSSY_IMAGES = Case("textured glossy two_cubes", "direct", "path", samples=64)
 GRAINED = Case("textured grained two_cubes", "specular", "vndf", samples=512)
-IMAGE_PHOTONS = Case("textured cornell_box_unshadowed", "direct", "photon-map", samples=16)
+IMAGE_PHOTONS = Case("textured cornell_box_unshadowed", "direct", "photon-map", samples=64)
 SCREEN = Case("screened cornell_box", "direct", "path", samples=64)
 SCREEN_PHOTONS = Case("screened cornell_box_unshadowed", "direct", "photon-map", samples=16)
 SCREEN_DRAWN = Case("drawn screened leaf", "background", "seen", samples=64)
@@ -112,9 +112,11 @@ ALL_LIGHTS = Case("lights", "direct", "path", samples=256)
 LEAF_AMBIENT = Case("leaf", "ambient", "cosine", samples=64)
 LEAF = Case("leaf", "direct", "path", samples=256)
 LEAF_SPLIT = Case("leaf", "direct", "next-event", samples=16)
+LEAF_BEHIND = Case("behind leaf", "direct", "next-event", samples=16)
 LEAF_PHOTONS = Case("leaf", "direct", "photon-map", samples=16)
 GLASS = Case("deep glass", "transmission", "vndf", samples=256)
-GLASS_UNIFORM = Case("deep frosted glass", "transmission", "uniform", samples=2048)
+GLASS_FROSTED = Case("deep frosted glass", "transmission", "vndf", samples=256)
+GLASS_UNIFORM = Case("deep frosted glass", "transmission", "uniform", samples=512)
 GLASS_SPECULAR = Case("deep glass", "specular", "vndf", samples=1024)
 THIN = Case("thin glass", "direct", "path", samples=256)
 THIN_AMBIENT = Case("thin glass", "ambient", "cosine", samples=64)
@@ -229,15 +231,15 @@ PLANTS = (
         "path: roulette without 1/p",
         PATH,
         _DIRECT,
-        "throughput = scale(throughput, 1.0 / survival)",
-        "throughput = scale(throughput, 1.0)",
+        "put(paths.throughput, path, scale(throughput, 1.0 / survival))",
+        "put(paths.throughput, path, throughput)",
     ),
     Plant(
-        "path: albedo of the vertex before",
+        "path: albedo of the first vertex at all",
         PATH,
         _DIRECT,
-        "throughput = mul(throughput, diffuse_weight(scene, surface))",
-        "throughput = mul(throughput, weight)",
+        "throughput = mul(vec3(paths.throughput, path), diffuse_weight(scene, surface))",
+        "throughput = mul(vec3(paths.throughput, path), vec3(paths.weight, path))",
     ),
     Plant(
         "path: ends after one bounce",
@@ -599,16 +601,16 @@ PLANTS = (
     Plant(
         "lights: points of a triangle on one half of it",
         DIRECT,
-        "renderer/warp.py",
-        "        v *= 0.5\n        u -= v",
-        "        v *= 0.5",
+        _SAMPLING,
+        "b1 = choose(up, u * half, u - v * half)",
+        "b1 = choose(up, u * half, u)",
     ),
     Plant(
         "path: the same numbers at all vertices",
         PATH,
         _DIRECT,
-        "sampler = Sampler(fold(sampler.key, _PATH + vertex), sampler.index)",
-        "sampler = Sampler(sampler.key, sampler.index)",
+        "paths.key[path] = fold(paths.key[path], _PATH + vertex)",
+        "paths.key[path] = paths.key[path]",
     ),
     Plant(
         "splitting: the last sample of a shared camera ray lost",
@@ -742,7 +744,7 @@ PLANTS = (
     ),
     Plant(
         "translucency: all of the light stays, and what crosses besides",
-        LEAF_SPLIT,
+        LEAF_BEHIND,
         _DIRECT,
         "waiting = _wait(i, number, surface, weight, bounced, 1.0 - share, waiting, scratch)",
         "waiting = _wait(i, number, surface, weight, bounced, 1.0, waiting, scratch)",
@@ -806,7 +808,13 @@ PLANTS = (
         "return 0.5 * (parallel * parallel + across * across)",
         "return across * across",
     ),
-    Plant("transmission: nothing masked beyond", POOL, _DIELECTRIC, "* smith_g1(-wi.z, alpha) * spread", "* spread"),
+    Plant(
+        "transmission: nothing masked beyond",
+        GLASS_FROSTED,
+        _DIELECTRIC,
+        "* smith_g1(-wi.z, alpha) * spread",
+        "* spread",
+    ),
     Plant(
         "transmission: refracted by the inverse index",
         GLASS,

@@ -136,6 +136,12 @@ def _thin(scene: Scene) -> Scene:
     return attrs.evolve(scene, objects=tuple(map(thin, scene.objects)))
 
 
+def _behind(scene: Scene) -> Scene:
+    """Seen from the other side."""
+    x, y, z = scene.camera.position
+    return attrs.evolve(scene, camera=attrs.evolve(scene.camera, position=(x, -y, z)))
+
+
 def _pool(scene: Scene) -> Scene:
     """Waves over all that stands on the ground, which hide the lamp; a lamp below them, and ambient light."""
     black, white = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
@@ -172,6 +178,7 @@ _CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "frosted": _frosted,
     "thin": _thin,
     "pool": _pool,
+    "behind": _behind,
     "sharp": lambda scene: attrs.evolve(scene, photons=attrs.evolve(scene.photons, kernel="epanechnikov")),
 }
 
@@ -187,7 +194,8 @@ class Case:
         lights, `spot`, `directional`, `sun`, `sphere`: of all lights those alone, `wide`: a wide sun, `plain` and
         `panorama`: another sky, `skylit`: the sky is the ambient light, `shadowed` and `bright`: choices of the paper,
         `drawn`: lights are seen, `deep`: longer chains, `frosted`: all glass is rough, `thin`: it casts no shadow,
-        `pool`: water over all that is seen, `sharp`: another kernel of photons, `textured`: an image on all surfaces,
+        `pool`: water over all that is seen, `behind`: the
+        camera on the other side, `sharp`: another kernel of photons, `textured`: an image on all surfaces,
         `grained`: and their gloss and roughness too, `screened`: an image on all lamps.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.

@@ -231,6 +231,35 @@ def test_photons_of_several_kinds_are_shared_by_power():
     np.testing.assert_allclose(sorted(ours), sorted(powers), rtol=1e-6)
 
 
+@pytest.mark.parametrize("scope", ["first-hit", "all"])
+@pytest.mark.parametrize("size", [6.0, 60.0, 190.0])
+def test_a_far_sphere_does_not_hide_itself(size, scope):
+    """From 20 radii on `ray_test` finds what it should not. E / pi is sin² of half of its angle, times the cosine."""
+    light = SphereLight((0.5, 0.3, 0.4), 0.2, (3.0, 2.0, 1.0))
+    corner, side = -size, 2.0 * size
+    plane = plate("plane", (corner, corner, 0.0), (side, 0.0, 0.0), (0.0, side, 0.0), GREY)
+    camera = Camera((0.0, 0.0, 2.0 * size), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), fov=40.0)
+    scene = Scene("far", camera, (plane,), (light,), resolution=(12, 12), scope=scope)
+    limit = Limit("direct", scope=scope)
+    images = np.array([reference.replicate(scene, limit, spp=256, seed=seed) for seed in range(8)])
+
+    film = (np.stack(np.meshgrid(np.arange(1200), np.arange(1200)), axis=-1).reshape(-1, 2) + 0.5) / 1200
+    way = camera.rays(film, aspect=1.0)
+    met = camera.position[2] / -way[:, 2:] * way + camera.position
+    towards = np.array(light.center) - met
+    distance = np.linalg.norm(towards, axis=1)
+    share = (light.radius / distance) ** 2 * towards[:, 2] / distance
+    of_pixels = share.reshape(12, 100, 12, 100).mean(axis=(1, 3))
+
+    error = images.std(axis=0, ddof=1) / math.sqrt(len(images))
+    far = distance.reshape(12, 100, 12, 100).min(axis=(1, 3)) > size / 6.0  # the lamp itself hides the pixels about it
+    z = (images.mean(axis=0) - 0.5 * of_pixels[..., None] * light.radiance)[far] / error[far]
+    assert np.abs(z).max() < 9.0  # t of 7 degrees of freedom, some 400 channels
+    expected = 0.5 * of_pixels[far].sum() * np.array(light.radiance)
+    np.testing.assert_allclose(images.mean(axis=0)[far].sum(axis=0), expected, rtol=0.01)
+    assert geometry_audit.audit(scene, seed=1).place is None
+
+
 def test_a_sphere_is_black_in_all_of_mitsubas_scenes():
     """It hides ambient light, `AO = 1 - sin² a cos t`, whether it shines or not, and the sky; it may be drawn."""
     light = SphereLight((0.0, 0.0, 1.0), 0.5, (3.0, 2.0, 1.0))
