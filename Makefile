@@ -43,7 +43,7 @@ engines: .venv/.installed ## Other renderers, each into an environment of its ow
 	@.venv/bin/python -m termwise.reports.engines.install
 
 gallery: .venv/.installed ## Engines, rightly and wrongly set, on two scenes: one page of pictures and verdicts; OUT=out
-	-@.venv/bin/termwise compare cornell_box_unshadowed monkey --diffuse --row total --no-probe --study quick \
+	-@.venv/bin/termwise compare --diffuse --row total --no-probe --study reports/engines/gallery.toml --spp 128 \
 	  $(addprefix --engine ,mitsuba cycles luxcore $(wildcard reports/engines/settings/*.toml)) --out $(OUT)/gallery \
 	  $(if $(WORKERS),--workers $(WORKERS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 

@@ -606,11 +606,11 @@ PLANTS = (
         "b1 = choose(up, u * half, u)",
     ),
     Plant(
-        "path: the same numbers at all vertices",
+        "path: roulette by the numbers of the direction",
         PATH,
         _DIRECT,
-        "paths.key[path] = fold(paths.key[path], _PATH + vertex)",
-        "paths.key[path] = paths.key[path]",
+        "_draw(count, ROULETTE, scratch)",
+        "_draw(count, BOUNCE, scratch)",
     ),
     Plant(
         "splitting: the last sample of a shared camera ray lost",

@@ -1,4 +1,4 @@
-"""Where the thresholds of `thresholds.toml` come from; run by hand: `python tests/images/calibrate.py`.
+"""Where the thresholds of `thresholds.toml` come from; run by hand: `python tests/images/calibrate.py [SCENE ...]`.
 
 Two further seeds, A and B, are measured as the tests measure theirs. Of mean images without any bias,
 
@@ -10,6 +10,7 @@ SSIM(reference A, reference B). A fault of ours moves neither. The thresholds ar
 verdicts of both seeds are compared with each other as well: they must be the same words.
 """
 
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -45,8 +46,8 @@ def default_images(folder: Path, results: dict[str, Any]) -> dict[tuple[str, str
     return images
 
 
-def main() -> None:
-    """Print the table, ready to be read beside `thresholds.toml`."""
+def main(*scenes: str) -> None:
+    """Print the table of some scenes, or of all, ready to be read beside `thresholds.toml`."""
     chosen = study.load(HERE / "study.toml")
     assert chosen.seed not in SEEDS
     words, images = [], []
@@ -55,7 +56,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             results = run.measure(
-                seeded, subjects.scenes_of(seeded), folder, name="calibration", report=lambda *_: None
+                seeded, subjects.scenes_of(seeded, scenes), folder, name="calibration", report=lambda *_: None
             )
             images.append(default_images(folder, results))
         judged = [row for row in results["cells"] if row["verdict"]]
@@ -76,4 +77,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])
