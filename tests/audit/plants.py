@@ -104,7 +104,6 @@ SKYLIT = Case("skylit two_cubes", "ambient", "cosine", samples=64)
 IMAGES = Case("textured two_cubes", "ambient", "cosine", samples=64)
 GLOSSY_IMAGES = Case("textured glossy two_cubes", "direct", "path", samples=64)
 GRAINED = Case("textured grained two_cubes", "specular", "vndf", samples=512)
-IMAGE_PHOTONS = Case("textured cornell_box_unshadowed", "direct", "photon-map", samples=64)
 SCREEN = Case("screened cornell_box", "direct", "path", samples=64)
 SCREEN_PHOTONS = Case("screened cornell_box_unshadowed", "direct", "photon-map", samples=16)
 SCREEN_DRAWN = Case("drawn screened leaf", "background", "seen", samples=64)
@@ -955,7 +954,7 @@ PLANTS = (
     ),
     Plant(
         "image: no photons where it is black",
-        IMAGE_PHOTONS,
+        Test("tests/kernels/test_textures.py::test_photons_land_where_the_image_is_black_too"),
         _TRACING,
         "and holds_photons(scene, surface):",
         "and max_component(diffuse_weight(scene, surface)) > 0.0:",
