@@ -52,8 +52,13 @@ ABSENT |= {
     (scene, "background"): "the sky is black and lights are not drawn"
     for scene in ("cornell_box", "cornell_box_unshadowed")
 }
-# The paper's cosine-power sampling of a lobe is too noisy for so few samples.
-MAY_BE_UNDERPOWERED = {("specular", "paper")}
+# Too noisy for so few samples: the paper's cosine-power sampling of a lobe; reflections that are a hundredth of the
+# picture's light and less; paths through leaves.
+MAY_BE_UNDERPOWERED = {(scene.name, "specular", "paper") for scene in SCENES} | {
+    ("lights", "specular", "vndf"),
+    ("leaf", "specular", "vndf"),
+    ("leaf", "direct", "path"),
+}
 QUICK = "two_cubes"
 OfScene = Callable[[str], "Measured"]
 
@@ -164,7 +169,7 @@ def test_verdict(scene: str, term: str, variant: str, measured: OfScene, request
         allowed = {"ABSENT"}
     else:
         allowed = {"EQUIVALENT" if row["kind"] == "right" else "AS PREDICTED"}
-        if (term, variant) in MAY_BE_UNDERPOWERED or "reference_shortfall" in row:
+        if (scene, term, variant) in MAY_BE_UNDERPOWERED or "reference_shortfall" in row:
             allowed.add("UNDERPOWERED")
     with evidence(measured(scene), scene, term, request):
         assert row["verdict"] in allowed, row["sentence"]
