@@ -199,7 +199,9 @@ class Tree:
         switch = switches.NONE if plant is None else self.switches.get(plant.name, switches.NONE)
         planted = plant if switch == switches.NONE else None
         if planted is not None:
-            (self.root / planted.path).write_text(planted.changed(ROOT), "utf-8")
+            path = self.root / planted.path
+            sound = path.rename(path.with_name(f"{path.name}.sound"))
+            path.write_text(planted.changed(ROOT), "utf-8")
         try:
             return subprocess.run(
                 [sys.executable, *words],
@@ -219,7 +221,7 @@ class Tree:
         finally:
             if planted is not None:
                 # With its time of change: by that Numba knows which kernels are still good.
-                shutil.copy2(ROOT / planted.path, self.root / planted.path)
+                sound.replace(path)
 
 
 def truth(case: Case, *, seed: int) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import ast
 import json
-import os
 import re
 import subprocess
 import sys
@@ -253,7 +252,6 @@ def test_a_fault_in_no_image_is_caught_by_its_test(tree):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="is about kernels")
 def test_a_switch_in_a_kernel_gives_the_bits_of_the_fault_alone(tmp_path, monkeypatch):
     plant = next(plant for plant in PLANTS if plant.name == "sky: left for right")
     case = attrs.evolve(BACKGROUND, side=4, samples=1)

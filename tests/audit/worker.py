@@ -194,9 +194,9 @@ class Case:
         lights, `spot`, `directional`, `sun`, `sphere`: of all lights those alone, `wide`: a wide sun, `plain` and
         `panorama`: another sky, `skylit`: the sky is the ambient light, `shadowed` and `bright`: choices of the paper,
         `drawn`: lights are seen, `deep`: longer chains, `frosted`: all glass is rough, `thin`: it casts no shadow,
-        `pool`: water over all that is seen, `behind`: the
-        camera on the other side, `sharp`: another kernel of photons, `textured`: an image on all surfaces,
-        `grained`: and their gloss and roughness too, `screened`: an image on all lamps.
+        `pool`: water over all that is seen, `behind`: the camera on the other side, `sharp`: another kernel of photons,
+        `textured`: an image on all surfaces, `grained`: and their gloss and roughness too, `screened`: an image on all
+        lamps.
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.

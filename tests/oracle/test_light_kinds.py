@@ -234,7 +234,7 @@ def test_photons_of_several_kinds_are_shared_by_power():
 @pytest.mark.parametrize("scope", ["first-hit", "all"])
 @pytest.mark.parametrize("size", [6.0, 60.0, 190.0])
 def test_a_far_sphere_does_not_hide_itself(size, scope):
-    """From 20 radii on `ray_test` finds what it should not. E / pi is sin² of half of its angle, times the cosine."""
+    """Far away `ray_test` finds what it should not. E / pi is sin² of half of its angle, times the cosine."""
     light = SphereLight((0.5, 0.3, 0.4), 0.2, (3.0, 2.0, 1.0))
     corner, side = -size, 2.0 * size
     plane = plate("plane", (corner, corner, 0.0), (side, 0.0, 0.0), (0.0, side, 0.0), GREY)

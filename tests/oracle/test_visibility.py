@@ -47,18 +47,19 @@ def covered(gap: float, *, below_lamp: bool = True, scale: float = 1.0) -> Scene
     return Scene("covered", camera, moved, resolution=(16, 16), scope="first-hit")
 
 
-@pytest.mark.parametrize(
-    ("gap", "below_lamp"), [(2e-3, True), (2e-4, True), (2e-5, True), (2e-3, False), (2e-4, False), (5e-5, False)]
-)
+@pytest.mark.parametrize("below_lamp", [True, False])
+@pytest.mark.parametrize("gap", [2e-3, 2e-4, 5e-5, 2e-5])
 def test_a_cover_close_to_the_lamp_or_to_the_floor_lets_no_light_through(gap, below_lamp):
     """3e-4 to 3e-6 of the scene: Mitsuba's shadow rays end 9e-4 of their length before the lamp.
 
-    Between a floor and a cover 2e-5 above it stands a camera so close to both that single precision moves what it sees
-    by a twentieth of a pixel, more or less as the processor rounds.
+    Between a floor and a cover 2e-5 above it the camera is so close to both that single precision moves what it sees by
+    a twentieth of a pixel, more or less as the processor rounds: that alone may be found there.
     """
     scene = covered(gap, below_lamp=below_lamp)
     assert not reference.replicate(scene, correct("direct", "first-hit"), spp=16, seed=1).any()
-    assert geometry_audit.audit(scene, seed=1).place is None
+    place = geometry_audit.audit(scene, seed=1).place
+    between = gap == 2e-5 and not below_lamp
+    assert place is None or (between and "pixels from where float64 has it" in place)
 
 
 @pytest.mark.parametrize("scale", [2.0**-20, 1.0, 2.0**20])
