@@ -6,6 +6,9 @@ judged as the given ones were, and the cause is said only if no error of theirs 
 distance `D`, `D² = Σ_c δ_c² + Σ_b θ_b` (the mean of each channel, the shape over blocks of each size), is gone: noise
 that hides an error is no explanation of it.
 
+The filter of a pixel is known by its width alone, so that what a blur leaves may still be proven. Where nothing else
+explains the error and most of the distance is gone, a filter is named as what it is: nearer.
+
 Of a large image a part is judged first, the one where most of the error is left: a cause that a tile or a window of it
 refutes, at the level that each has in the whole, is not tried on the rest. Mean and shape of a part refute nothing: the
 whole is allowed the same of its own, and an error of a part is less of it.
@@ -57,6 +60,8 @@ _STEP = 64
 """Places of parts, whole tiles."""
 _PROMISING = 0.25
 """Share of the mean square error of the mean images that a correction may leave to be tried on the replicates."""
+_FREE = 0.9
+"""Share of the value at which ours ends; a mean below it is taken to be of no clamped sample."""
 _SURE = 4.0
 """Standard errors of a mean square error from which on it is one."""
 
@@ -82,9 +87,9 @@ class Hint:
 
     Attributes
     ----------
-    text : `agrees if ours is flipped upside down`.
+    text : `agrees if ours is flipped upside down`, or `is nearer if the reference is blurred by …`.
     left : the distance D that remains, relative to the term's mean.
-    verdict : of the corrected replicates, EQUIVALENT or UNDERPOWERED.
+    verdict : of the corrected replicates: EQUIVALENT or UNDERPOWERED, or BIASED where it is but nearer.
     """
 
     text: str
@@ -107,6 +112,7 @@ class Correction:
     margin : pixels at each border that are no longer defined, or left out.
     moves : whether pixels move, so that a mask has to follow.
     always : tried on the replicates whatever the mean images say of it.
+    rough : whether it is an approximation of its cause, which may leave an error.
     """
 
     text: str
@@ -115,6 +121,7 @@ class Correction:
     margin: int = 0
     moves: bool = False
     always: bool = False
+    rough: bool = False
 
     def then(self, other: "Correction") -> "Correction":
         """Both, this one first; the reason of one stands behind both."""
@@ -127,6 +134,7 @@ class Correction:
             lambda image: other.reference(self.reference(image)),
             margin=max(self.margin, other.margin),
             moves=self.moves or other.moves,
+            rough=self.rough or other.rough,
         )
 
 
@@ -237,10 +245,14 @@ def hints(
     if border:  # what leaves out more than the border is explained by that alone
         singles = [each for each in singles if not each.margin]
     found = trial.all_of(singles) + ([border] if border else [])
-    if at_depth is not None and (cut := _cut(trial, at_depth, statistics, alone=bool(found))):
+    if at_depth is not None and (cut := _cut(trial, at_depth, statistics, alone=bool(found), rough=False)):
         found.append(cut)
     if not found:
         found = list(itertools.islice(filter(None, map(trial.tried, _several(singles, trial.halves, ours))), 1))
+    if not found:
+        found = trial.nearer_ones(singles)
+        if at_depth is not None and (cut := _cut(trial, at_depth, statistics, rough=True)):
+            found.append(cut)
     return tuple(sorted(found, key=lambda hint: hint.left)[:LISTED])
 
 
@@ -276,6 +288,17 @@ class _Trial:
         """Those that hold."""
         return [hint for each in _promising(corrections, self.halves) if (hint := self.tried(each))]
 
+    def nearer_ones(self, corrections: list[Correction]) -> list[Hint]:
+        """The rough ones that leave an error, but not half of the distance."""
+        rough = _promising([each for each in corrections if each.rough], self.halves)
+        return [hint for each in rough if (hint := self._nearer(each))]
+
+    def _nearer(self, correction: Correction) -> Hint | None:
+        found = self.measured(correction)
+        if found is None or (left := _distance(found)) > self.far / 2:
+            return None
+        return Hint(f"is nearer if {correction.text}; not all of the error is gone", left, "BIASED")
+
     def tried(self, correction: Correction) -> Hint | None:
         """A correction as a hint, if it holds."""
         if (part := _worst_part(correction, self.halves)) is not None:
@@ -294,8 +317,10 @@ class _Trial:
         return Hint(f"agrees if {correction.text}", left, str(verdict))
 
 
-def _cut(trial: _Trial, at_depth: AtDepth, statistics: Statistics, *, alone: bool) -> Hint | None:
+def _cut(trial: _Trial, at_depth: AtDepth, statistics: Statistics, *, alone: bool = False, rough: bool) -> Hint | None:
     """Whether ours is what is left where light scatters a few times; or, but for `alone`, that moved or filtered.
+
+    `rough`: what is nearer alone.
 
     More depth is more light: the depth whose mean is that of ours is looked for by bisection, with few replicates of
     the reference. It and its neighbour are tried with these, and only what they do not refute with all.
@@ -321,7 +346,8 @@ def _cut(trial: _Trial, at_depth: AtDepth, statistics: Statistics, *, alone: boo
             # Whether enough of the distance is gone, all replicates say.
             far = trial.far if count == every else math.inf
             less = attrs.evolve(trial, reference=at_depth(depth, count), far=far)
-            found = less.all_of([each.then(cut) for each in others(less)])
+            both = [each.then(cut) for each in others(less)]
+            found = less.nearer_ones(both) if rough else less.all_of(both)
             if (best := min(found, key=lambda hint: hint.left, default=None)) is None:
                 return None
         return best
@@ -423,15 +449,17 @@ def _promising(corrections: list[Correction], halves: _Halves, best: int | None 
 
 
 def _several(singles: list[Correction], halves: _Halves, stack: np.ndarray) -> Iterator[Correction]:
-    """The best of two causes at once, of three, of four: where pixels lie, the order of channels, what values became.
+    """The best of two causes at once, of three, of four, by each curve: where pixels lie, their channels, their values.
 
+    Two curves that differ little are told apart by replicates, whose noise they bend, not by mean images.
     The values of a large image are compared on a part of its pixels, after they were moved: a shift of one pixel
     would be none between every fourth.
     """
     lie = [()] + [(each,) for each in singles if each.moves and each.margin <= REACH + 1]
     orders = [()] + [(each,) for each in singles if "order" in each.text]
+    curves = {each.text for each in _curves()}
     enough = _PROMISING * _seen(halves.thinned(_NONE), 0)
-    best: dict[int, tuple[float, Correction]] = {}
+    best: dict[tuple[int, str], tuple[float, Correction]] = {}
     most = _upper_end(stack)
     for moved in lie:
         thin = halves.thinned(_all(moved))  # whose order of channels costs little
@@ -440,10 +468,11 @@ def _several(singles: list[Correction], halves: _Halves, stack: np.ndarray) -> I
             for changes in _values(placed, most):
                 parts = (*moved, *order, *changes)
                 left = placed.left(_all(changes))
-                if len(parts) > 1 and left < best.get(len(parts), (enough,))[0]:
-                    best[len(parts)] = left, _all(parts)
-    for count in sorted(best):
-        yield best[count][1]
+                kind = len(parts), next((each.text for each in changes if each.text in curves), "")
+                if len(parts) > 1 and left < best.get(kind, (enough,))[0]:
+                    best[kind] = left, _all(parts)
+    for kind in sorted(best, key=lambda kind: (kind[0], best[kind][0])):
+        yield best[kind][1]
 
 
 def _all(parts: Iterable[Correction]) -> Correction:
@@ -451,17 +480,19 @@ def _all(parts: Iterable[Correction]) -> Correction:
 
 
 def _values(halves: _Halves, most: float | None) -> Iterator[tuple[Correction, ...]]:
-    """Changes of values alone: none, a factor, a curve, and a factor or an upper end after the curve is undone.
+    """Changes of values alone: none or a curve, then none, a factor, an upper end, or both.
 
     `most` : where ours was clamped.
     """
-    yield ()
-    yield from ((factor,) for factor in _factors(*halves.means, None))
-    for curve in _curves():
-        yield (curve,)
-        yield from ((curve, factor) for factor in _factors(*halves.thinned(curve).means, None))
+    for curves in ((), *((curve,) for curve in _curves())):
+        yield curves
+        means = halves.thinned(_all(curves)).means
+        yield from ((*curves, factor) for factor in _factors(*means, None))
         if most is not None:
-            yield curve, _ended(float(curve.ours(np.array([most]))[0]))
+            end = _all(curves).ours(np.array([most]))
+            yield *curves, _ended(float(end[0]))
+            for factor in _factors(*_below(float(end[0]), *means), None):
+                yield *curves, factor, _ended(float(factor.ours(end)[0]))
 
 
 def _seen(halves: _Halves, margin: int) -> float:
@@ -591,6 +622,12 @@ def _upper_end(stack: np.ndarray) -> float | None:
     return most if np.count_nonzero(stack == most) > max(3, len(stack)) else None
 
 
+def _below(most: float, ours: Image, reference: Image) -> tuple[Image, Image]:
+    """Both where no channel of ours is near its end, else black: no factor is found where that is everywhere."""
+    free = (ours < _FREE * most).all(axis=2, keepdims=True)
+    return np.where(free, ours, 0.0), np.where(free, reference, 0.0)
+
+
 def _ended(most: float) -> Correction:
     return Correction(
         f"the reference is clamped at {most:.4g}, above which ours has no value",
@@ -621,6 +658,6 @@ def _blurs(ours: Image, reference: Image) -> Iterator[Correction]:
             return blurred(image, sigma)
 
         if ours_is:
-            yield Correction(text, change, margin=4, moves=True)
+            yield Correction(text, change, margin=4, moves=True, rough=True)
         else:
-            yield Correction(text, reference=change, margin=4, moves=True)
+            yield Correction(text, reference=change, margin=4, moves=True, rough=True)

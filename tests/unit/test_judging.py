@@ -81,6 +81,11 @@ def hinted(judgement: "termwise.reports.judging.judge.Judgement") -> str:
             "sRGB's curve and the reference is clamped at 1, above which ours has no value: it is sRGB-encoded",
         ),
         (lambda image: srgb.encoded(2 * image), "decoded by sRGB's curve and divided by 2: it is sRGB-encoded"),
+        (lambda image: np.minimum(2 * image, 1.0), "divided by 2 and the reference is clamped at 0.5, above which"),
+        (
+            lambda image: np.minimum(2 * image, 1.0) ** (1 / 2.2),
+            "power 2.2 and divided by 2 and the reference is clamped at 0.5, above which ours has no value: it is",
+        ),
     ],
 )
 def test_a_planted_cause_is_hinted_at(draw: Draw, change: Callable, words: str):
@@ -103,16 +108,28 @@ def test_the_brightest_pixels_that_are_off_are_hinted_at(draw: Draw):
     assert "brightest pixels alone" in hinted(termwise.judge(draw(dim), draw(right)))
 
 
+def filtered(*weights: float, picture: np.ndarray = PICTURE) -> np.ndarray:
+    """The picture, each pixel with those beside it."""
+    found = picture
+    for axis in (0, 1):
+        found = scipy.ndimage.convolve1d(found, np.array(weights), axis=axis, mode="nearest")
+    return found
+
+
 def test_a_wider_filter_is_hinted_at(draw: Draw):
     """Noise has seen the filter, too: it is the picture that is blurred."""
-    kernel = np.array([0.2, 0.6, 0.2])
-    blurred = PICTURE
-    for axis in (0, 1):
-        padded = np.pad(blurred, [(1, 1) if each == axis else (0, 0) for each in range(3)], mode="edge")
-        blurred = sum(w * np.take(padded, range(k, k + SIZE), axis) for k, w in enumerate(kernel))
-    ours = draw(np.asarray(blurred), noise=0.05)
+    ours = draw(filtered(0.2, 0.6, 0.2), noise=0.05)
     assert "a wider pixel filter" in hinted(termwise.judge(ours, draw(noise=0.05)))
     assert "a narrower pixel filter" in hinted(termwise.judge(draw(noise=0.05), ours))
+
+
+def test_a_filter_that_is_no_gaussian_is_said_to_be_nearer(draw: Draw):
+    """So little noise that what a Gaussian leaves of it is proven: its kind is named, and that it is not all."""
+    judgement = termwise.judge(draw(filtered(0.1, 0.15, 0.5, 0.15, 0.1), noise=0.005), draw(noise=0.005))
+    text = hinted(judgement)
+    assert text.startswith("is nearer if the reference is blurred by ")
+    assert text.endswith("ours has a wider pixel filter; not all of the error is gone")
+    assert judgement.hints[0].verdict == "BIASED"
 
 
 def test_a_cause_of_another_kind_has_no_hint(draw: Draw):
@@ -159,6 +176,14 @@ def test_light_that_ends_too_soon_is_hinted_at(draw: Draw, at_depth: Any, depth:
     assert len({at for at, _ in asked}) <= 6
     assert judgement.hints[0].left < 0.01
     assert not any("scatters" in hint.text for hint in termwise.judge(ours, reference).hints)
+
+
+def test_light_that_ends_too_soon_behind_such_a_filter_is_said_to_be_nearer(draw: Draw, at_depth: Any):
+    less, _ = at_depth
+    ours = draw(filtered(0.3, 0.0, 0.4, 0.0, 0.3, picture=SCATTERED[2]), noise=0.005)
+    text = hinted(termwise.judge(ours, draw(SCATTERED[-1], noise=0.005), at_depth=less))
+    assert text.startswith("is nearer if the reference is blurred by ")
+    assert "light scatters 3 times at most in the reference too" in text
 
 
 @pytest.mark.parametrize(
