@@ -111,13 +111,26 @@ def face_mass(corners: np.ndarray, face: int, normal: Vec3, x: Vec3, radius: flo
     bx, by = dot(basis.s, b), dot(basis.t, b)
     cx, cy = dot(basis.s, c), dot(basis.t, c)
     disc = math.sqrt(reach)
+    # Off the plane the kernel is (r'² / r²)^(p + 1) times the same kernel of the smaller disc r'.
+    most = (reach / square) * falloff(reach / square, exponent)
+    inside = min(_inside(ax, ay, bx, by), min(_inside(bx, by, cx, cy), _inside(cx, cy, ax, ay)))
+    if inside >= disc:
+        return most
+    if inside <= -disc:
+        return 0.0
     mass = (
         _edge_mass(ax, ay, bx, by, disc, exponent)
         + _edge_mass(bx, by, cx, cy, disc, exponent)
         + _edge_mass(cx, cy, ax, ay, disc, exponent)
     )
-    # Off the plane the kernel is (r'² / r²)^(p + 1) times the same kernel of the smaller disc r'.
-    return abs(mass) / (2.0 * math.pi) * (reach / square) * falloff(reach / square, exponent)
+    return abs(mass) / (2.0 * math.pi) * most
+
+
+@device
+def _inside(px: float, py: float, qx: float, qy: float) -> float:
+    """How far the origin lies on the inner side of an edge's line, a triangle's edges going counterclockwise."""
+    ex, ey = qx - px, qy - py
+    return (px * ey - py * ex) / math.sqrt(ex * ex + ey * ey)
 
 
 @device
@@ -152,16 +165,25 @@ def _edge_mass(px: float, py: float, qx: float, qy: float, radius: float, expone
     d = abs(area)
     tp = px * ex + py * ey
     tq = qx * ex + qy * ey
-    mass = math.atan2(tq, d) - math.atan2(tp, d)
-    if d < radius:
-        reach = math.sqrt(radius * radius - d * d)
-        a = min(max(tp, -reach), reach)
-        b = min(max(tq, -reach), reach)
-        if b > a:
-            s = 1.0 / (radius * radius)
-            mass += _wedge(d, b, s, exponent) - _wedge(d, a, s, exponent)
-            mass -= math.atan2(b, d) - math.atan2(a, d)
-    return math.copysign(mass, area) if area != 0.0 else 0.0
+    if area == 0.0:
+        return 0.0
+    if d >= radius:
+        return math.copysign(_angle(d, tp, tq), area)
+    reach = math.sqrt(radius * radius - d * d)
+    a = min(max(tp, -reach), reach)
+    b = min(max(tq, -reach), reach)
+    s = 1.0 / (radius * radius)
+    mass = _wedge(d, b, s, exponent) - _wedge(d, a, s, exponent)
+    # An edge within the disc has nothing beyond it.
+    if a != tp or b != tq:
+        mass += _angle(d, tp, tq) - _angle(d, a, b)
+    return math.copysign(mass, area)
+
+
+@device
+def _angle(d: float, a: float, b: float) -> float:
+    """Angle from position a to b >= a of a line at distance d > 0, `atan(b / d) - atan(a / d)`."""
+    return math.atan2(d * (b - a), d * d + a * b)
 
 
 @device

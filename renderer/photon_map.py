@@ -15,13 +15,12 @@ from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.jit import device, kernel
-from termwise.renderer.kernel_mass import EXPONENTS, falloff, kernel_mass, peak, same_surface
-from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
-from termwise.renderer.surface import Surface
-from termwise.renderer.vector import Vec3, dot, entry, vec3
+from termwise.renderer.kernel_mass import EXPONENTS
+from termwise.renderer.memory import aligned
+from termwise.renderer.vector import Vec3
 
 _PLACED = 1 << 16  # photons that a thread copies at a time
 # Memory for the maps of a replicate that another term may use: 16 passes of the open Cornell box take 75 MB.
@@ -33,10 +32,10 @@ class PhotonMap(NamedTuple):
 
     Attributes
     ----------
-    position : (P, 3)
-    direction : (P, 3), unit, back along the photon's path.
-    power : (P, 3), flux in units of radiance x area.
-    face : (P,) int32.
+    position : (3, P)
+    direction : (3, P), unit, back along the photon's path.
+    power : (3, P), flux in units of radiance x area.
+    face : (P,) int32. Eight entries may be read from any photon on, also from the last one.
     start : (nx ny nz + 1,) int64, first photon of each cell.
     low, cell, nx, ny, nz : corner, edge length and counts of the grid.
     radius, exponent : of the kernel.
@@ -117,10 +116,16 @@ def _place(
     for i in range(first, last):
         j = order[i]
         for k in range(3):
-            sorted_position[i, k] = position[j, k]
-            sorted_direction[i, k] = direction[j, k]
-            sorted_power[i, k] = power[j, k]
+            sorted_position[k, i] = position[j, k]
+            sorted_direction[k, i] = direction[j, k]
+            sorted_power[k, i] = power[j, k]
         sorted_face[i] = face[j]
+
+
+def _room(*shape: int, dtype: DTypeLike = np.float64) -> np.ndarray:
+    """An array behind whose last entry seven more may be read."""
+    size = math.prod(shape)
+    return aligned(size + 7, dtype)[:size].reshape(shape)
 
 
 def build(
@@ -132,7 +137,7 @@ def build(
     shape: str = "simpson",
     pool: Executor | None = None,
 ) -> PhotonMap:
-    """Sort photons into a dense grid of cells at least 2 r wide: a query meets at most 8 of them.
+    """Sort photons, vectors (P, 3), into a dense grid of cells at least r wide: a query meets at most 27 of them.
 
     `shape` names the kernel, see EXPONENTS. With `pool` its threads share the copying, most of the work.
     """
@@ -142,7 +147,7 @@ def build(
         _bounds(position, low, high)
         extent = high - low
     # A dense grid needs no hash, so no cell is ever visited twice; at most 8 cells a photon.
-    cell = max(2.0 * radius, float(extent.max()) / 1024.0, 1e-300)
+    cell = max(radius, float(extent.max()) / 1024.0, 1e-300)
     while True:
         nx, ny, nz = (int(n) + 1 for n in extent / cell)
         if nx * ny * nz <= 8 * len(position) + 64:
@@ -152,7 +157,8 @@ def build(
     order = np.empty(len(position), np.int64)
     corner = Vec3(float(low[0]), float(low[1]), float(low[2]))
     photons = position, direction, power, face
-    placed = tuple(np.empty_like(array) for array in photons)
+    count = len(position)
+    placed = _room(3, count), _room(3, count), _room(3, count), _room(count, dtype=np.int32)
     if len(position):
         _sort(position, corner, cell, nx, ny, nz, start, order)
         firsts = range(0, len(order), _PLACED)
@@ -187,62 +193,39 @@ def empty(radius: float = 1.0) -> PhotonMap:
     return build(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int32), radius)
 
 
+class Cells(NamedTuple):
+    """Cells x0 <= x <= x1, y0 <= y < y1, z0 <= z < z1 of the grid."""
+
+    x0: int
+    x1: int
+    y0: int
+    y1: int
+    z0: int
+    z1: int
+
+
 @device
-def cell_index(position: float, low: float, cell: float, count: int) -> int:
+def _cell(position: float, low: float, cell: float, count: int) -> int:
     """Grid index of a coordinate, clamped in floating point: far queries must not overflow an integer."""
     return int(min(max((position - low) / cell, 0.0), count - 1.0))
 
 
 @device
-def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface, scratch: Scratch) -> Vec3:
-    """E at a surface point by the map's kernel, divided by its mass on the surface."""
-    if len(photons.face) == 0:
-        return Vec3(0.0, 0.0, 0.0)
-    scratch.counts[DENSITY_ESTIMATES] += 1
-    geometry = scene.geometry
-    x = surface.point
-    radius = photons.radius
-    inverse = 1.0 / (radius * radius)
-    own = vec3(geometry.normals, surface.face)
-    red = 0.0
-    green = 0.0
-    blue = 0.0
-    for cz in range(
-        cell_index(x.z - radius, photons.low.z, photons.cell, photons.nz),
-        cell_index(x.z + radius, photons.low.z, photons.cell, photons.nz) + 1,
-    ):
-        for cy in range(
-            cell_index(x.y - radius, photons.low.y, photons.cell, photons.ny),
-            cell_index(x.y + radius, photons.low.y, photons.cell, photons.ny) + 1,
-        ):
-            row = (np.int64(cz) * photons.ny + cy) * photons.nx
-            # Cells of a row are neighbours in memory: their photons are one range.
-            begin = photons.start[row + cell_index(x.x - radius, photons.low.x, photons.cell, photons.nx)]
-            end = photons.start[row + cell_index(x.x + radius, photons.low.x, photons.cell, photons.nx) + 1]
-            for p in range(begin, end):
-                dx = photons.position[p, 0] - x.x
-                dy = photons.position[p, 1] - x.y
-                dz = photons.position[p, 2] - x.z
-                rest = 1.0 - (dx * dx + dy * dy + dz * dz) * inverse
-                if rest <= 0.0:
-                    continue
-                face = entry(photons.face, p)
-                normal = vec3(geometry.normals, face)
-                offset = Vec3(dx, dy, dz)
-                if not same_surface(geometry.object, surface.face, own, face, normal, offset, radius):
-                    continue
-                wi = vec3(photons.direction, p)
-                cos = dot(wi, normal)
-                if cos * surface.side <= 0.0:
-                    continue
-                weight = falloff(rest, photons.exponent)
-                if geometry.smooth[face]:
-                    weight *= max(0.0, dot(wi, surface.normal)) / abs(cos)
-                red += weight * photons.power[p, 0]
-                green += weight * photons.power[p, 1]
-                blue += weight * photons.power[p, 2]
-    if red == 0.0 and green == 0.0 and blue == 0.0:
-        return Vec3(0.0, 0.0, 0.0)
-    mass = kernel_mass(scene, surface.face, x, radius, photons.exponent, scratch.stack)
-    norm = peak(radius, photons.exponent) / mass
-    return Vec3(red * norm, green * norm, blue * norm)
+def cells_within(photons: PhotonMap, x: Vec3, radius: float) -> Cells:
+    """The cells that hold all photons within a radius of x."""
+    low, cell = photons.low, photons.cell
+    return Cells(
+        _cell(x.x - radius, low.x, cell, photons.nx),
+        _cell(x.x + radius, low.x, cell, photons.nx),
+        _cell(x.y - radius, low.y, cell, photons.ny),
+        _cell(x.y + radius, low.y, cell, photons.ny) + 1,
+        _cell(x.z - radius, low.z, cell, photons.nz),
+        _cell(x.z + radius, low.z, cell, photons.nz) + 1,
+    )
+
+
+@device
+def range_of(photons: PhotonMap, cells: Cells, y: int, z: int) -> tuple[int, int]:
+    """Photons [begin, end) of the cells of a row: these are neighbours in memory."""
+    row = (np.int64(z) * photons.ny + y) * photons.nx
+    return photons.start[row + cells.x0], photons.start[row + cells.x1 + 1]

@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from termwise.renderer.jit import device
-from termwise.renderer.photon_map import PhotonMap, cell_index
+from termwise.renderer.photon_map import PhotonMap, cells_within, range_of
 from termwise.renderer.surface import Surface
-from termwise.renderer.vector import Vec3, dot, vec3
+from termwise.renderer.vector import Vec3, column, dot, sub
 
 
 @device
@@ -39,23 +39,14 @@ def nearest_irradiance(
     count = 0
     while True:
         count = 0
-        for cz in range(
-            cell_index(x.z - radius, photons.low.z, photons.cell, photons.nz),
-            cell_index(x.z + radius, photons.low.z, photons.cell, photons.nz) + 1,
-        ):
-            for cy in range(
-                cell_index(x.y - radius, photons.low.y, photons.cell, photons.ny),
-                cell_index(x.y + radius, photons.low.y, photons.cell, photons.ny) + 1,
-            ):
-                row = (np.int64(cz) * photons.ny + cy) * photons.nx
-                begin = photons.start[row + cell_index(x.x - radius, photons.low.x, photons.cell, photons.nx)]
-                end = photons.start[row + cell_index(x.x + radius, photons.low.x, photons.cell, photons.nx) + 1]
+        cells = cells_within(photons, x, radius)
+        for z in range(cells.z0, cells.z1):
+            for y in range(cells.y0, cells.y1):
+                begin, end = range_of(photons, cells, y, z)
                 for p in range(begin, end):
-                    dx = photons.position[p, 0] - x.x
-                    dy = photons.position[p, 1] - x.y
-                    dz = photons.position[p, 2] - x.z
-                    square = dx * dx + dy * dy + dz * dz
-                    if square > radius * radius or dot(vec3(photons.direction, p), surface.normal) <= 0.0:
+                    offset = sub(column(photons.position, p), x)
+                    square = dot(offset, offset)
+                    if square > radius * radius or dot(column(photons.direction, p), surface.normal) <= 0.0:
                         continue
                     if count < nearest:
                         _sift_up(heap, chosen, count, square, p)
@@ -71,9 +62,9 @@ def nearest_irradiance(
     green = 0.0
     blue = 0.0
     for i in range(count):
-        red += photons.power[chosen[i], 0]
-        green += photons.power[chosen[i], 1]
-        blue += photons.power[chosen[i], 2]
+        red += photons.power[0, chosen[i]]
+        green += photons.power[1, chosen[i]]
+        blue += photons.power[2, chosen[i]]
     norm = 1.0 / (math.pi * heap[0])
     return Vec3(red * norm, green * norm, blue * norm)
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays
 from termwise.renderer.dielectric import EITHER, sample_interface
-from termwise.renderer.geometry.intersect import make_ray
+from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights import emit_photon
 from termwise.renderer.material import (
@@ -38,11 +38,28 @@ from termwise.renderer.microfacet import sample_lobe
 from termwise.renderer.photon_map import PhotonMap, build, empty
 from termwise.renderer.rng import fold, stream
 from termwise.renderer.scratch import PHOTONS, Scratch
-from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
-from termwise.renderer.surface import Surface, trace
-from termwise.renderer.vector import Vec3, dot, frame, is_black, max_component, mul, scale, to_local, to_world, vec3
+from termwise.renderer.sobol import Sampler, draw_2d, sample_1d
+from termwise.renderer.surface import Surface, put_leaving_ray, surface_of, trace_wave
+from termwise.renderer.vector import (
+    Vec3,
+    dot,
+    entry,
+    frame,
+    is_black,
+    max_component,
+    mul,
+    negate,
+    put,
+    put_column,
+    scale,
+    to_local,
+    to_world,
+    vec3,
+)
 
 _CHUNK = 4096
+# Photons that are followed together: waves stay full until few are left, and all lie in the second cache.
+_FLIGHT = 8 * SIZE
 _STREAM = 1 << 40  # beyond any pixel index: photons never share a key with a pixel
 _VERTEX = 16  # keys of a photon's vertices: beyond the pairs of its emission
 _PHOTON = 1 << 32  # keys of photons that have a sequence each: beyond those of the vertices
@@ -127,8 +144,10 @@ def _sample_lobes(
 
 
 @device
-def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sampler) -> tuple[Vec3, Vec3]:
-    """Direction of a photon that goes on and the factor on its flux; a black factor where it is absorbed."""
+def _scatter(
+    scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sampler, u: float, v: float, roulette: float
+) -> tuple[Vec3, Vec3]:
+    """Direction by (u, v) of a photon that goes on, and the factor on its flux, black where it is absorbed."""
     black = Vec3(0.0, 0.0, 0.0)
     weight = diffuse_weight(scene, surface)
     diffuse = max_component(weight)
@@ -138,19 +157,27 @@ def _scatter(scene: SceneArrays, rule: Scattering, surface: Surface, sampler: Sa
         return black, black
     share = diffuse / (diffuse + lobes)
     local = frame(surface.normal)
-    u, v = sample_2d(sampler, _DIRECTION)
     if lobes == 0.0 or sample_1d(sampler, _LOBE) < share:
         weight = scale(weight, 1.0 / share)
+        survival = _survival(rule, weight)
+        if roulette >= survival:
+            return black, black
         wi = scattered(scene.materials.translucency, surface, u, v)
     else:
         wo = to_local(local, surface.wo)
         wi, weight = _sample_lobes(scene, scene.materials.dielectrics, gloss, surface, wo, 1.0 - share, sampler, u, v)
-    survival = min(rule.most, rule.survival if rule.survival > 0.0 else max_component(weight))
-    if sample_1d(sampler, _ROULETTE) >= survival:
-        return black, black
+        survival = _survival(rule, weight)
+        if roulette >= survival:
+            return black, black
     heading = to_world(local, wi)
     factor = scale(weight, 1.0 / survival) if rule.weighted else Vec3(1.0, 1.0, 1.0)
     return heading, scale(factor, _shading_ratio(scene, surface, surface.wo, heading))
+
+
+@device
+def _survival(rule: Scattering, weight: Vec3) -> float:
+    """Probability that a photon goes on that would carry so much of its flux."""
+    return min(rule.most, rule.survival if rule.survival > 0.0 else max_component(weight))
 
 
 @device
@@ -174,6 +201,73 @@ def _pass(
     return False, Vec3(1.0, 1.0, 1.0)
 
 
+class _Flight(NamedTuple):
+    """Photons that are followed together, bounce by bounce, those that still fly first.
+
+    Attributes
+    ----------
+    index : (_FLIGHT,) int64, the number of each.
+    origin, heading, flux : (_FLIGHT, 3) each.
+    face : (_FLIGHT,) int32, the face that it leaves, -1: none.
+    straight : (_FLIGHT,) bool, whether it comes straight from its light.
+    """
+
+    index: np.ndarray
+    origin: np.ndarray
+    heading: np.ndarray
+    flux: np.ndarray
+    face: np.ndarray
+    straight: np.ndarray
+
+
+@device
+def _put_photon(
+    flight: _Flight, i: int, index: int, origin: Vec3, heading: Vec3, flux: Vec3, face: int, straight: bool
+) -> None:
+    flight.index[i] = index
+    put(flight.origin, i, origin)
+    put(flight.heading, i, heading)
+    put(flight.flux, i, flux)
+    flight.face[i] = face
+    flight.straight[i] = straight
+
+
+@device
+def _put_sampler(k: int, sampler: Sampler, scratch: Scratch) -> None:
+    scratch.key[k] = sampler.key
+    scratch.sample[k] = sampler.index
+
+
+@device
+def _depart(
+    scene: SceneArrays, rule: Scattering, key: np.uint64, first: int, last: int, flight: _Flight, scratch: Scratch
+) -> int:
+    """Emit photons [first, last); how many carry anything."""
+    place, way = scratch.samples, scratch
+    flying = 0
+    for begin in range(first, last, SIZE):
+        count = min(SIZE, last - begin)
+        for k in range(count):
+            _put_sampler(k, _sampler(rule, key, begin + k), scratch)
+        draw_2d(scratch.key, scratch.sample, count, _PLACE, place.u, place.v)
+        draw_2d(scratch.key, scratch.sample, count, _WAY, way.u, way.v)
+        for k in range(count):
+            origin, heading, flux, face = emit_photon(scene, rule.aimed, (place.u[k], place.v[k]), (way.u[k], way.v[k]))
+            if not is_black(flux):
+                _put_photon(flight, flying, begin + k, origin, heading, flux, face, True)
+                flying += 1
+    return flying
+
+
+@device
+def _fly(scene: SceneArrays, flight: _Flight, begin: int, count: int, scratch: Scratch) -> None:
+    """Find what `count` photons meet next."""
+    for k in range(count):
+        put_leaving_ray(scene, scratch.rays, k, vec3(flight.origin, begin + k), entry(flight.face, begin + k))
+        put_column(scratch.rays.directions, k, vec3(flight.heading, begin + k))
+    trace_wave(scene, scratch.rays, count, False, scratch)
+
+
 @kernel
 def _trace_photons(
     scene: SceneArrays,
@@ -193,39 +287,56 @@ def _trace_photons(
     A photon is deposited wherever the object has a diffuse weight, however it came there.
     """
     landed = 0
+    roulette = scratch.samples
     scratch.counts[PHOTONS] += last - first
-    for index in range(first, last):
-        emission = _sampler(rule, key, index)
-        place, way = sample_2d(emission, _PLACE), sample_2d(emission, _WAY)
-        origin, heading, flux, origin_face = emit_photon(scene, rule.aimed, place, way)
-        depth = 0
-        straight = True
-        while not is_black(flux):
-            surface = trace(scene, make_ray(origin, heading), origin_face, scratch)
-            if surface.face < 0:
-                break
-            if (not straight or first_hits) and holds_photons(scene, surface):
-                if landed < len(face):
-                    position[landed, 0] = surface.point.x
-                    position[landed, 1] = surface.point.y
-                    position[landed, 2] = surface.point.z
-                    direction[landed, 0] = surface.wo.x
-                    direction[landed, 1] = surface.wo.y
-                    direction[landed, 2] = surface.wo.z
-                    power[landed, 0] = flux.x
-                    power[landed, 1] = flux.y
-                    power[landed, 2] = flux.z
-                    face[landed] = surface.face
-                landed += 1
-            depth += 1
-            branch = _sampler(rule, fold(key, _VERTEX + depth), index)
-            straight, factor = _pass(scene, scene.materials.passing, straight, surface, branch)
-            flux = mul(flux, factor)
-            if not straight:
-                heading, factor = _scatter(scene, rule, surface, branch)
-                flux = mul(flux, factor)
-            origin = surface.point
-            origin_face = surface.face
+    flight = _Flight(
+        np.empty(_FLIGHT, np.int64),
+        np.empty((_FLIGHT, 3)),
+        np.empty((_FLIGHT, 3)),
+        np.empty((_FLIGHT, 3)),
+        np.empty(_FLIGHT, np.int32),
+        np.empty(_FLIGHT, np.bool_),
+    )
+    for start in range(first, last, _FLIGHT):
+        flying = _depart(scene, rule, key, start, min(start + _FLIGHT, last), flight, scratch)
+        vertex = _VERTEX
+        while flying > 0:
+            vertex += 1
+            kept = 0
+            for begin in range(0, flying, SIZE):
+                count = min(SIZE, flying - begin)
+                _fly(scene, flight, begin, count, scratch)
+                for k in range(count):
+                    _put_sampler(k, _sampler(rule, fold(key, vertex), flight.index[begin + k]), scratch)
+                draw_2d(scratch.key, scratch.sample, count, _ROULETTE, roulette.u, roulette.v)
+                draw_2d(scratch.key, scratch.sample, count, _DIRECTION, scratch.u, scratch.v)
+                for k in range(count):
+                    surface = surface_of(scene, scratch.rays, k)
+                    if surface.face < 0:
+                        continue
+                    straight, flux = flight.straight[begin + k], vec3(flight.flux, begin + k)
+                    if (not straight or first_hits) and holds_photons(scene, surface):
+                        if landed < len(face):
+                            put(position, landed, surface.point)
+                            put(direction, landed, surface.wo)
+                            put(power, landed, flux)
+                            face[landed] = surface.face
+                        landed += 1
+                    branch = Sampler(scratch.key[k], scratch.sample[k])
+                    straight, factor = _pass(scene, scene.materials.passing, straight, surface, branch)
+                    flux = mul(flux, factor)
+                    heading = negate(surface.wo)
+                    if not straight:
+                        heading, factor = _scatter(
+                            scene, rule, surface, branch, scratch.u[k], scratch.v[k], roulette.u[k]
+                        )
+                        flux = mul(flux, factor)
+                    if not is_black(flux):
+                        # None is overwritten before it was read: no more fly on than have come.
+                        index = flight.index[begin + k]
+                        _put_photon(flight, kept, index, surface.point, heading, flux, surface.face, straight)
+                        kept += 1
+            flying = kept
     return landed
 
 

@@ -29,7 +29,7 @@ from termwise.renderer import (
     kernel_mass,
     lights,
     material,
-    photon_map,
+    photon_density,
     photon_search,
     sobol,
     surface,
@@ -40,7 +40,7 @@ from termwise.renderer.microfacet import pdf_lobe
 from termwise.renderer.scratch import new_scratch
 from termwise.renderer.terms import VARIANTS, ambient, direct, specular
 from termwise.renderer.terms.estimator import Compiled
-from termwise.renderer.vector import column, vec3
+from termwise.renderer.vector import column
 
 Event = dict[str, Any]
 
@@ -192,10 +192,10 @@ class Recorder:
 
     def falloff(self, given: Any, weight: float, caller: FrameType) -> None:
         """A photon within the kernel."""
-        if caller.f_code.co_name == "estimate_irradiance":
+        if caller.f_code.co_name == "_weight":
             photon, photons = caller.f_locals["p"], caller.f_locals["photons"]
             distance = photons.radius * math.sqrt(1.0 - given.rest)
-            power = vec3(photons.power, photon)
+            power = column(photons.power, photon)
             self._gathered.append({"photon": photon, "distance": distance, "weight": weight, "flux": _plain(power)})
 
     def kernel_mass(self, given: Any, mass: float, caller: FrameType) -> None:
@@ -215,7 +215,7 @@ class Recorder:
         """E by the k nearest photons."""
         nearest = sorted(zip(given.heap[: self._found], given.chosen[: self._found], strict=True))
         self._gathered = [
-            {"photon": int(photon), "distance": math.sqrt(square), "flux": _plain(vec3(given.photons.power, photon))}
+            {"photon": int(photon), "distance": math.sqrt(square), "flux": _plain(column(given.photons.power, photon))}
             for square, photon in nearest
         ]
         radius = self._gathered[-1]["distance"] if nearest else 0.0
@@ -258,7 +258,7 @@ WATCHED: tuple[Callable[..., Any], ...] = (
     sobol.sample_1d,
     kernel_mass.falloff,
     kernel_mass.kernel_mass,
-    photon_map.estimate_irradiance,
+    photon_density.estimate_irradiance,
     photon_search._sift_up,
     photon_search.nearest_irradiance,
 )

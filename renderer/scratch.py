@@ -93,6 +93,7 @@ class Scratch(NamedTuple):
     key, sample : (64,) uint64 and uint32, the randomness of each occlusion ray.
     u, v : (64,) float64 each, points of the unit square: of the camera rays, then of what leaves their hits.
     samples : points that ask for light.
+    lanes : (4, 8) float64 scratch of `photon_density`.
     seen : the primary hits that are kept, which all threads share.
     """
 
@@ -115,6 +116,7 @@ class Scratch(NamedTuple):
     u: np.ndarray
     v: np.ndarray
     samples: LightSamples
+    lanes: np.ndarray
     seen: Seen
 
 
@@ -144,5 +146,6 @@ def new_scratch() -> Scratch:
         _zeros(SIZE),
         _zeros(SIZE),
         _new_light_samples(),
+        _zeros((4, 8)),
         NOTHING_SEEN,
     )

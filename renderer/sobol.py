@@ -76,6 +76,13 @@ def sample_2d(sampler: Sampler, dimension: int) -> tuple[float, float]:
 
 
 @device
+def draw_2d(key: np.ndarray, index: np.ndarray, count: int, dimension: int, u: np.ndarray, v: np.ndarray) -> None:
+    """`sample_2d` of the first `count` keys (uint64) and indices (uint32): a loop of its own, which is vectorised."""
+    for k in range(count):
+        u[k], v[k] = sample_2d(Sampler(key[k], index[k]), dimension)
+
+
+@device
 def sample_1d(sampler: Sampler, dimension: int) -> float:
     """Coordinate in (0, 1) of a dimension used alone."""
     return sample_2d(sampler, dimension)[0]

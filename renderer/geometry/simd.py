@@ -111,6 +111,7 @@ _comparison(operator.lt, "<")
 _comparison(operator.le, "<=")
 _comparison(operator.gt, ">")
 _comparison(operator.ge, ">=")
+_comparison(operator.eq, "==")
 _comparison(operator.ne, "!=")
 
 

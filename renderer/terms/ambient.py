@@ -29,7 +29,7 @@ from termwise.renderer.material import diffuse_weight, sampled_side, sees_all_am
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sky import sky_radiance
 from termwise.renderer.sky_light import SkyMap, sky_light
-from termwise.renderer.sobol import Sampler, sample_2d
+from termwise.renderer.sobol import Sampler, draw_2d, sample_2d
 from termwise.renderer.surface import Surface, arriving, put_occlusion_ray, shadowed, surface_of
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
@@ -130,9 +130,7 @@ def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratc
 
     Loops of their own: those that draw and map eight points are vectorised.
     """
-    for k in range(asking):
-        sampler = Sampler(scratch.key[k], scratch.sample[k])
-        scratch.u[k], scratch.v[k] = sample_2d(sampler, OCCLUSION)
+    draw_2d(scratch.key, scratch.sample, asking, OCCLUSION, scratch.u, scratch.v)
     _choose_sides(scene.materials.translucency, asking, scratch)
     _weigh(scene, scene.sky_map, rule, asking, scratch)
 

@@ -20,11 +20,12 @@ from termwise.renderer.jit import device, kernel
 from termwise.renderer.light_sampling import sample_lights
 from termwise.renderer.lights import sample_light
 from termwise.renderer.material import diffuse_weight, scattered
-from termwise.renderer.photon_map import PhotonMap, estimate_irradiance
+from termwise.renderer.photon_density import estimate_irradiance
+from termwise.renderer.photon_map import PhotonMap
 from termwise.renderer.photon_search import nearest_irradiance
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
-from termwise.renderer.sobol import Sampler, sample_1d, sample_2d
+from termwise.renderer.sobol import Sampler, draw_2d, sample_1d, sample_2d
 from termwise.renderer.surface import (
     Surface,
     arriving,
@@ -230,10 +231,8 @@ def _light(scene: SceneArrays, waiting: int, out: np.ndarray, scratch: Scratch) 
     In the order in which they wait, each to its pixel.
     """
     samples = scratch.samples
-    # In a loop of its own, which is vectorised.
     if scene.emitters.drawn:
-        for i in range(waiting):
-            samples.u[i], samples.v[i] = sample_2d(Sampler(scratch.key[i], scratch.sample[i]), LIGHT)
+        draw_2d(scratch.key, scratch.sample, waiting, LIGHT, samples.u, samples.v)
     sample_lights(scene, samples, waiting)
     share = 1.0 / scene.light_samples
     asking = 0
@@ -362,13 +361,6 @@ def _put_place(paths: _Paths, path: int, surface: Surface) -> None:
 
 
 @device
-def _draw(count: int, dimension: int, scratch: Scratch) -> None:
-    """Draw a pair of dimensions for each key of `scratch`, in a loop of its own, which is vectorised."""
-    for k in range(count):
-        scratch.u[k], scratch.v[k] = sample_2d(Sampler(scratch.key[k], scratch.sample[k]), dimension)
-
-
-@device
 def _arrive(scene: SceneArrays, count: int, coherent: bool, scratch: Scratch) -> None:
     """E / pi at the points of `scratch.samples`, to `scratch.radiance`; black at those of no face."""
     samples = scratch.samples
@@ -432,11 +424,10 @@ def _gather(scene: SceneArrays, paths: _Paths, begin: int, count: int, coherent:
     for k in range(count):
         path = paths.alive[begin + k]
         scratch.key[k], scratch.sample[k] = paths.key[path], paths.index[path]
-    _draw(count, LIGHT, scratch)
+    draw_2d(scratch.key, scratch.sample, count, LIGHT, samples.u, samples.v)
     for k in range(count):
         path = paths.alive[begin + k]
         place = paths.place[path]
-        samples.u[k], samples.v[k] = scratch.u[k], scratch.v[k]
         put_column(samples.point, k, Vec3(place[0], place[1], place[2]))
         put_column(samples.normal, k, Vec3(place[3], place[4], place[5]))
         samples.face[k] = paths.face[path]
@@ -454,7 +445,7 @@ def _bounce(scene: SceneArrays, paths: _Paths, begin: int, count: int, kept: int
 
     Returns where they end.
     """
-    _draw(count, BOUNCE, scratch)
+    draw_2d(scratch.key, scratch.sample, count, BOUNCE, scratch.u, scratch.v)
     directions = scratch.rays.directions
     for k in range(count):
         path = paths.alive[begin + k]
@@ -468,7 +459,7 @@ def _bounce(scene: SceneArrays, paths: _Paths, begin: int, count: int, kept: int
         local = scattered(scene.materials.translucency, surface, scratch.u[k], scratch.v[k])
         put_column(directions, k, to_world(frame(normal), local))
     trace_wave(scene, scratch.rays, count, False, scratch)
-    _draw(count, ROULETTE, scratch)
+    draw_2d(scratch.key, scratch.sample, count, ROULETTE, scratch.u, scratch.v)
     for k in range(count):
         surface = surface_of(scene, scratch.rays, k)
         if surface.face < 0:

@@ -15,7 +15,8 @@ import attrs
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays, from_scene
-from termwise.renderer.photon_map import PhotonMap, build, empty, estimate_irradiance
+from termwise.renderer.photon_density import estimate_irradiance
+from termwise.renderer.photon_map import PhotonMap, build, empty
 from termwise.renderer.photon_search import nearest_irradiance
 from termwise.renderer.photon_tracing import Scattering, emit
 from termwise.renderer.rng import root
@@ -241,7 +242,7 @@ def tracing(count: int) -> Iterator[Row]:
         def stray(position: tuple[float, float, float] = position) -> float:
             scene = attrs.evolve(closed_box(), lights=(PointLight(position, (1.0, 1.0, 1.0)),))
             photons = _emitted(scene, count, 1)
-            good = np.isfinite(photons.power).all(axis=1) & (np.abs(photons.position) <= 1.0 + 2.0**-50).all(axis=1)
+            good = np.isfinite(photons.power).all(axis=0) & (np.abs(photons.position) <= 1.0 + 2.0**-50).all(axis=0)
             return float((~good).sum())
 
         yield Row(f"light {name}", "photons that are no numbers or lie outside the box", 0.0, stray)

@@ -272,7 +272,7 @@ PLANTS = (
     Plant(
         "photons: kernel mass left out at borders",
         PHOTON_MAP,
-        "renderer/photon_map.py",
+        "renderer/photon_density.py",
         "mass = kernel_mass(scene, surface.face, x, radius, photons.exponent, scratch.stack)",
         "mass = 1.0",
     ),
@@ -446,8 +446,8 @@ PLANTS = (
         "one point of the light for all pixels and replicates",
         FEW,
         _DIRECT,
-        "sample_2d(Sampler(scratch.key[i], scratch.sample[i]), LIGHT)",
-        "sample_2d(Sampler(np.uint64(7), scratch.sample[i]), LIGHT)",
+        "draw_2d(scratch.key, scratch.sample, waiting, LIGHT, samples.u, samples.v)",
+        "scratch.key[:] = np.uint64(7); draw_2d(scratch.key, scratch.sample, waiting, LIGHT, samples.u, samples.v)",
     ),
     Plant("photons: power less by 1 %", PHOTON_MAP, _TRACING, "power /= emitted", "power *= 0.99 / emitted"),
     Plant(
@@ -565,8 +565,8 @@ PLANTS = (
         "photons: those of the next cell left out",
         PHOTON_MAP,
         "renderer/photon_map.py",
-        "cell_index(x.x + radius, photons.low.x, photons.cell, photons.nx) + 1]",
-        "cell_index(x.x, photons.low.x, photons.cell, photons.nx) + 1]",
+        "_cell(x.x + radius, low.x, cell, photons.nx),",
+        "_cell(x.x, low.x, cell, photons.nx),",
     ),
     Plant(
         "photons: the mass of Epanechnikov's kernel at borders",
@@ -608,8 +608,8 @@ PLANTS = (
         "path: roulette by the numbers of the direction",
         PATH,
         _DIRECT,
-        "_draw(count, ROULETTE, scratch)",
-        "_draw(count, BOUNCE, scratch)",
+        "draw_2d(scratch.key, scratch.sample, count, ROULETTE, scratch.u, scratch.v)",
+        "draw_2d(scratch.key, scratch.sample, count, BOUNCE, scratch.u, scratch.v)",
     ),
     Plant(
         "splitting: the last sample of a shared camera ray lost",
@@ -879,7 +879,7 @@ PLANTS = (
         Test("tests/kernels/test_glass_shadows.py::test_photons_fly_on_through_a_pane"),
         _TRACING,
         "if (not straight or first_hits) and",
-        "if (depth > 0 or first_hits) and",
+        "if (vertex > _VERTEX + 1 or first_hits) and",
     ),
     # Sky and camera.
     Plant("sky: no parallax", BACKGROUND, _SKY, "if sky.radius < math.inf:", "if sky.radius < 0.0:"),

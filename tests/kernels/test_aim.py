@@ -108,7 +108,7 @@ def test_aimed_photons_land_the_flux_of_the_solid_angle(compiled):
     found = {}
     for aimed in (True, False):
         maps = [emitted(scene, i, count, aimed=aimed, independent=True) for i in range(40)]
-        flux = np.array([photons.power[:, 1].sum() for photons in maps])
+        flux = np.array([photons.power[1].sum() for photons in maps])
         expected, error = 3.0 * solid_angle(0.7), flux.std(ddof=1) / math.sqrt(len(flux))
         assert abs(flux.mean() - expected) < 4.5 * error
         assert error < (0.02 if compiled else 0.1) * expected
@@ -147,7 +147,7 @@ def test_lights_of_both_kinds_are_picked_by_what_they_send(compiled):
     emitters = emitters_of(two)
     angles = 2 * math.pi * (1 - emitters.points.cosine)
     sent = max(1, math.ceil(500 * emitters.share))
-    np.testing.assert_allclose(photons.power, (angles @ (3.0, 50.0)) / sent, rtol=1e-9)
+    np.testing.assert_allclose(photons.power.T, (angles @ (3.0, 50.0)) / sent, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def test_photons_fly_on_through_a_pane():
             photons = photon_tracing.emit(
                 engine.arrays, root(1, 0), 0, first_hits=first_hits, pool=engine.pool, scratch=new_scratch, **options
             )
-        return photons.power.sum(axis=0)
+        return photons.power.sum(axis=1)
 
     right = landed(floor, first_hits=True)
     assert right.min() > 1.0

@@ -6,6 +6,10 @@ Photons are placed here by hand through `build`, so that the irradiance that the
 """
 
 import math
+import os
+import pickle
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import attrs
@@ -18,7 +22,8 @@ from scipy.spatial import KDTree
 from termwise.renderer import photon_map
 from termwise.renderer.arrays import SceneArrays, from_scene
 from termwise.renderer.kernel_mass import EXPONENTS, MAX_PLANE_DISTANCE, MIN_NORMAL_COSINE, kernel_mass
-from termwise.renderer.photon_map import build, empty, estimate_irradiance, progressive_radius
+from termwise.renderer.photon_density import _weighted_flux, estimate_irradiance
+from termwise.renderer.photon_map import build, empty, progressive_radius
 from termwise.renderer.photon_search import nearest_irradiance
 from termwise.renderer.photon_tracing import Scattering, emit
 from termwise.renderer.rng import root
@@ -152,6 +157,32 @@ def test_gather_against_kdtree(crowd, radius, shape, compiled):
         np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12 * expected.max(initial=1))
         filled += expected.any()
     assert filled > 5
+
+
+_QUERIES = """
+import pickle, sys
+from termwise.renderer.photon_density import _weighted_flux
+geometry, maps, queries, lanes = pickle.load(sys.stdin.buffer)
+pickle.dump([[tuple(_weighted_flux(geometry, m, q, lanes)) for q in queries] for m in maps], sys.stdout.buffer)
+"""
+
+
+def test_lanes_sum_photons_as_plain_python_does(crowd):
+    """Equal bits: of few and of many photons a cell, of one more than eight and of one less, smooth or not."""
+    scene, rng = crowd
+    maps = [build(*scattered(scene, rng, count), radius) for count, radius in ((7, 3.0), (9, 3.0), (300, 0.3))]
+    queries = [random_query(scene, rng) for _ in range(40)]
+    given = pickle.dumps((scene.geometry, maps, queries, SCRATCH.lanes))
+    run = subprocess.run(
+        [sys.executable, "-c", _QUERIES],
+        input=given,
+        stdout=-1,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        check=True,
+    )
+    found = [[tuple(_weighted_flux(scene.geometry, m, q, SCRATCH.lanes)) for q in queries] for m in maps]
+    assert found == pickle.loads(run.stdout)
+    assert np.count_nonzero([[flux[0] for flux in each] for each in found]) > 40
 
 
 @pytest.mark.slow
@@ -395,12 +426,12 @@ def test_grid_holds_every_photon_once(radius):
     position = rng.normal(size=(300, 3)) * (1.0, 1e3, 1e-3)
     photons = build(position, position, position, np.arange(300, dtype=np.int32), radius)
     assert sorted(photons.face.tolist()) == list(range(300))
-    np.testing.assert_array_equal(photons.position, position[photons.face])
+    np.testing.assert_array_equal(photons.position.T, position[photons.face])
     assert photons.start[0] == 0
     assert photons.start[-1] == 300
     assert (np.diff(photons.start) >= 0).all()
     assert len(photons.start) == photons.nx * photons.ny * photons.nz + 1 <= 8 * 300 + 65
-    assert photons.cell >= 2 * radius
+    assert photons.cell >= radius
 
 
 def test_order_of_photons_changes_nothing_but_rounding():
@@ -472,7 +503,7 @@ def landed_flux(scene: Scene, compiled: bool, **options) -> tuple[float, float]:
     """Mean over passes of the green flux of a map, and its standard error; all photons unless said otherwise."""
     passes, count = (40, 500) if compiled else (20, 10)
     options = {"first_hits": True} | options
-    flux = [emitted(scene, i, count, **options).power[:, 1].sum() for i in range(passes)]
+    flux = [emitted(scene, i, count, **options).power[1].sum() for i in range(passes)]
     return float(np.mean(flux)), float(np.std(flux, ddof=1) / np.sqrt(passes))
 
 
@@ -575,7 +606,7 @@ def test_photons_lie_on_their_faces_and_point_back():
     scene = unit_sphere()
     photons = emitted(scene, 0, 300, first_hits=True)
     g = from_scene(scene).geometry
-    offset = np.einsum("px,px->p", photons.position - g.corners[photons.face, 0], g.normals[photons.face])
+    offset = np.einsum("px,px->p", photons.position.T - g.corners[photons.face, 0], g.normals[photons.face])
     assert np.abs(offset).max() < 4e-16
-    np.testing.assert_allclose(np.linalg.norm(photons.direction, axis=1), 1, rtol=1e-12)
-    assert (np.einsum("px,px->p", photons.direction, g.normals[photons.face]) > 0).all()
+    np.testing.assert_allclose(np.linalg.norm(photons.direction, axis=0), 1, rtol=1e-12)
+    assert (np.einsum("xp,px->p", photons.direction, g.normals[photons.face]) > 0).all()

@@ -163,7 +163,7 @@ def test_all_flux_of_a_light_in_a_ball_comes_out(scattering: str):
         options = {"count": 400, "radius": 0.5, "shape": "simpson", "rule": rule, "first_hits": True}
         photons = photon_tracing.emit(engine.arrays, root(1, 0), 0, pool=engine.pool, scratch=new_scratch, **options)
     expected = 4 * math.pi * np.array(tint) if scattering == "full" else np.zeros(3)
-    np.testing.assert_allclose(photons.power.sum(axis=0), expected, rtol=0.03)
+    np.testing.assert_allclose(photons.power.sum(axis=1), expected, rtol=0.03)
 
 
 def test_an_opaque_scene_has_nothing_of_it():

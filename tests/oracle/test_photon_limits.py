@@ -13,7 +13,8 @@ from termwise import reference
 from termwise.reference import backend, density
 from termwise.renderer import render
 from termwise.renderer.arrays import from_scene
-from termwise.renderer.photon_map import build, estimate_irradiance, progressive_radius
+from termwise.renderer.photon_density import estimate_irradiance
+from termwise.renderer.photon_map import build, progressive_radius
 from termwise.renderer.scratch import new_scratch
 from termwise.renderer.surface import Surface
 from termwise.renderer.vector import Vec3

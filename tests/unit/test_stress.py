@@ -186,8 +186,8 @@ def test_a_kernel_that_knows_no_sides_leaks_through_thin_walls(gap, monkeypatch)
     """All photons within a ball, over its disc: Jensen's estimate without his test of the normal."""
 
     def ball(scene, photons, surface):
-        near = ((photons.position - np.array(surface.point)) ** 2).sum(axis=1) < photons.radius**2
-        return photons.power[near, 0].sum() / (np.pi * photons.radius**2)
+        near = ((photons.position.T - np.array(surface.point)) ** 2).sum(axis=1) < photons.radius**2
+        return photons.power[0, near].sum() / (np.pi * photons.radius**2)
 
     monkeypatch.setattr(photons, "_ours", ball)
     assert fails("photons", f"a wall {gap} thin")
