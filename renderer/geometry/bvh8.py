@@ -33,9 +33,10 @@ FACES = 72
 _NOWHERE = np.float32(1e30)
 _AS_LEAF = 9
 MAX_DEPTH = 80
-# Descents push at most one node a level of the binary tree; of this one a node, a distance and a set of rays for each
-# of 8 children. A vector of 8 is stored where fewer count.
-STACK_SIZE = 3 * (WIDTH * MAX_DEPTH + WIDTH)
+# What a ray has passed by when it has come down: 7 of 8 children a level. A vector of 8 is stored where fewer count.
+DEEPEST = WIDTH * MAX_DEPTH + WIDTH
+# Two numbers of each, for 64 rays at once, and what `streams` has beside.
+STACK_SIZE = 2 * 64 * DEEPEST + 2048
 
 
 class Bvh8(NamedTuple):

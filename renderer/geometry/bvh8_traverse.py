@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.geometry.bvh8 import FACES, HIGH, LEAF, LINKS, NODE, STACK_SIZE, Bvh8
+from termwise.renderer.geometry.bvh8 import DEEPEST, FACES, HIGH, LEAF, LINKS, NODE, Bvh8
 from termwise.renderer.geometry.intersect import EDGE_SLACK, FaceRange, Hit, Ray, component
 from termwise.renderer.geometry.simd import (
     as_int,
@@ -43,7 +43,7 @@ from termwise.renderer.jit import device
 from termwise.renderer.vector import entry
 
 # Entries of the stack from here on are nodes, their distances, and before both what a packet needs beside.
-NODES, KEYS = STACK_SIZE // 3, 2 * STACK_SIZE // 3
+NODES, KEYS = DEEPEST, 2 * DEEPEST
 PAD = 2.0**-21
 MAX_INVERSE = 2.0**60
 # Rounded up by this much, a distance in float32 is not less than in float64.

@@ -1,15 +1,12 @@
-"""Eight rays of a wave descended together: a packet inside a frustum, or a bundle of rays of any directions.
+"""Eight rays of a wave that go the same way, descended together inside a frustum.
 
 A packet's rays have one main axis. Seen along this axis k_z, ray i is at depth z at `x = o_x + s_x z`,
 `y = o_y + s_y z`; the packet lies between the planes `x = min o_x + min s_x z` and `x = max o_x + max s_x z`, and so in
 y, and a box is passed over where it lies outside of one of them: one test of 8 boxes for 8 rays. It pays where
 triangles are larger than the packet is wide, and gives up when its work is no longer less than that of the same rays
-alone, or in a bundle.
+in a stream.
 
-A bundle carries the set of rays that met a box down the tree: 8 rays against one box at a time, and one ray against 8
-boxes where one ray is left. It pays because rays that begin near each other go through the same nodes at first.
-
-The planes of both are padded as `bvh8_traverse` pads boxes, and triangles are tested in float64 by the expressions of
+The planes are padded as `bvh8_traverse` pads boxes, and triangles are tested in float64 by the expressions of
 `intersect_triangle`: faces and distances have the bits of single rays, in whatever company they come.
 """
 
@@ -20,7 +17,6 @@ import numpy as np
 from termwise.renderer.geometry.bvh8 import HIGH, LEAF, LINKS, NODE, Bvh8
 from termwise.renderer.geometry.bvh8_traverse import (
     DISTANCE_BITS,
-    MAX_INVERSE,
     NEVER,
     NODES,
     PAD,
@@ -30,9 +26,8 @@ from termwise.renderer.geometry.bvh8_traverse import (
     distances,
     edges,
     face_of,
-    triangles_of,
 )
-from termwise.renderer.geometry.intersect import component, make_ray
+from termwise.renderer.geometry.intersect import component
 from termwise.renderer.geometry.simd import (
     as_int,
     bits,
@@ -50,7 +45,6 @@ from termwise.renderer.geometry.simd import (
     magnitude,
     maximum,
     minimum,
-    narrow,
     numbers,
     rows,
     smallest,
@@ -60,11 +54,11 @@ from termwise.renderer.geometry.simd import (
 )
 from termwise.renderer.geometry.wave import Wave
 from termwise.renderer.jit import device
-from termwise.renderer.vector import column, entry
+from termwise.renderer.vector import entry
 
 SIZE = 8
 MOST_BACKOFF = 256  # see `wave.BACKOFF`
-# Nodes, leaves and triangles that a packet may test: with more a bundle is faster.
+# Nodes, leaves and triangles that a packet may test: with more a stream is faster.
 MUCH_WORK = 48
 
 
@@ -421,158 +415,3 @@ def any_hits_of_packet(wide: Bvh8, p: Packet, wave: Wave, at: int, far: float, s
         node = entry(stack, size)
     _put_found(wave, at, hits)
     return True
-
-
-class Bundle(NamedTuple):
-    """Eight rays for one box: per axis `t = plane * inverse + low` (or high), low and high being padded apart."""
-
-    inverse: tuple
-    low: tuple
-    high: tuple
-    reach: int
-
-
-@device
-def _write_shear(wave: Wave, at: int, i: int) -> None:
-    """Keep origin and shear of ray i along its own axes, and these axes: divided for once, where a leaf asks first."""
-    ray = make_ray(column(wave.origins, at + i), column(wave.directions, at + i))
-    shears = wave.shears
-    shears[i, 0] = component(ray.origin, ray.kx)
-    shears[i, 1] = component(ray.origin, ray.ky)
-    shears[i, 2] = component(ray.origin, ray.kz)
-    shears[i, 3] = ray.sx
-    shears[i, 4] = ray.sy
-    shears[i, 5] = ray.sz
-    shears[i, 6] = 8.0 * ray.kx
-    shears[i, 7] = 8.0 * ray.ky
-
-
-@device
-def _read_shear(shears: np.ndarray, i: int) -> Shear:
-    kx = int(shears[i, 6])
-    ky = int(shears[i, 7])
-    return Shear(
-        (splat(shears[i, 0], 8), splat(shears[i, 1], 8), splat(shears[i, 2], 8)),
-        (splat(shears[i, 3], 8), splat(shears[i, 4], 8), splat(shears[i, 5], 8)),
-        kx,
-        ky,
-        24 - kx - ky,
-    )
-
-
-@device
-def _axis(wide: Bvh8, origin: int, direction: int, center: float, largest: int, pad: int) -> tuple:
-    finite = minimum(magnitude(largest / direction), splat(MAX_INVERSE, 8))
-    inverse = choose(direction < splat(0.0, 8), splat(0.0, 8) - finite, finite)
-    o = (origin - splat(center, 8)) * splat(wide.scale, 8)
-    return narrow(inverse), narrow((splat(0.0, 8) - (o + pad)) * inverse), narrow((pad - o) * inverse)
-
-
-@device
-def make_bundle(wide: Bvh8, wave: Wave, at: int, far: float) -> Bundle:
-    """Make a bundle of rays of any directions."""
-    o = rows(wave.origins, at)
-    d = rows(wave.directions, at)
-    largest = maximum(magnitude(d[0]), maximum(magnitude(d[1]), magnitude(d[2])))
-    distance = maximum(
-        magnitude(o[0] - splat(wide.center.x, 8)),
-        maximum(magnitude(o[1] - splat(wide.center.y, 8)), magnitude(o[2] - splat(wide.center.z, 8))),
-    )
-    pad = splat(PAD, 8) * (splat(1.0, 8) + distance * splat(wide.scale, 8))
-    x = _axis(wide, o[0], d[0], wide.center.x, largest, pad)
-    y = _axis(wide, o[1], d[1], wide.center.y, largest, pad)
-    z = _axis(wide, o[2], d[2], wide.center.z, largest, pad)
-    reach = narrow(splat(far, 8) * (largest * splat(wide.scale * ROUND_UP, 8)))
-    return Bundle((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]), reach)
-
-
-@device
-def _slab(nodes: np.ndarray, start: int, b: Bundle) -> tuple:
-    """Distances at which 8 rays enter (at least 0) and leave one box, whose first entry is `start`."""
-    x0 = fma(splat(nodes[start], 8), b.inverse[0], b.low[0])
-    x1 = fma(splat(nodes[start + HIGH], 8), b.inverse[0], b.high[0])
-    y0 = fma(splat(nodes[start + 8], 8), b.inverse[1], b.low[1])
-    y1 = fma(splat(nodes[start + HIGH + 8], 8), b.inverse[1], b.high[1])
-    z0 = fma(splat(nodes[start + 16], 8), b.inverse[2], b.low[2])
-    z1 = fma(splat(nodes[start + HIGH + 16], 8), b.inverse[2], b.high[2])
-    return maximum(
-        maximum(minimum(x0, x1), minimum(y0, y1)), maximum(minimum(z0, z1), splat(np.float32(0.0), 8))
-    ), minimum(minimum(maximum(x0, x1), maximum(y0, y1)), maximum(z0, z1))
-
-
-@device
-def _slab_alone(nodes: np.ndarray, start: int, b: Bundle, ray: int) -> tuple:
-    """Distances at which one of the rays enters (at least 0) and leaves a node's 8 boxes."""
-    x = splat(extract(b.inverse[0], ray), 8)
-    y = splat(extract(b.inverse[1], ray), 8)
-    z = splat(extract(b.inverse[2], ray), 8)
-    x0 = fma(load(nodes, start, 8), x, splat(extract(b.low[0], ray), 8))
-    x1 = fma(load(nodes, start + HIGH, 8), x, splat(extract(b.high[0], ray), 8))
-    y0 = fma(load(nodes, start + 8, 8), y, splat(extract(b.low[1], ray), 8))
-    y1 = fma(load(nodes, start + HIGH + 8, 8), y, splat(extract(b.high[1], ray), 8))
-    z0 = fma(load(nodes, start + 16, 8), z, splat(extract(b.low[2], ray), 8))
-    z1 = fma(load(nodes, start + HIGH + 16, 8), z, splat(extract(b.high[2], ray), 8))
-    return maximum(
-        maximum(minimum(x0, x1), minimum(y0, y1)), maximum(minimum(z0, z1), splat(np.float32(0.0), 8))
-    ), minimum(minimum(maximum(x0, x1), maximum(y0, y1)), maximum(z0, z1))
-
-
-@device
-def any_hits_of_bundle(wide: Bvh8, wave: Wave, at: int, count: int, far: float, stack: np.ndarray) -> None:
-    """Write what `any_hit` finds for `count` rays of a wave from `at` on, of any directions."""
-    bundle = make_bundle(wide, wave, at, far)
-    written = 0
-    active = (1 << count) - 1
-    searching = active
-    size = 0
-    node = 0
-    while len(wide.nodes) > 0:
-        if node >= 0:
-            start = node * NODE
-            if active & (active - 1) == 0:
-                i = lowest_bit(active)
-                enter, leave = _slab_alone(wide.nodes, start, bundle, i)
-                met8 = (enter <= minimum(leave, splat(extract(bundle.reach, i), 8))) & (
-                    load_ints(wide.nodes, start + LINKS, 8) != splat(np.int32(0), 8)
-                )
-                store(stack, size, splat(np.int32(active), 8))
-                store(stack, NODES + size, compress(load_ints(wide.nodes, start + LINKS, 8), met8))
-                size += count_bits(bits(met8))
-            else:
-                for lane in range(8):
-                    link = load_int(wide.nodes, start + LINKS + lane)
-                    if link == 0:
-                        break
-                    enter, leave = _slab(wide.nodes, start + lane, bundle)
-                    met = bits(enter <= minimum(leave, bundle.reach)) & active
-                    stack[size] = met
-                    stack[NODES + size] = link
-                    size += 1 if met != 0 else 0
-        else:
-            leaf = -1 - node
-            while active != 0:
-                i = lowest_bit(active)
-                active &= active - 1
-                if (written >> i) & 1 == 0:
-                    _write_shear(wave, at, i)
-                    written |= 1 << i
-                shear = _read_shear(wave.shears, i)
-                hit = triangles_of(wide.leaves, leaf, shear)
-                if bits(hit.inside) != 0:
-                    t = distances(shear, hit, splat(1.0, 8) / hit.det)
-                    lanes = bits(hit.inside & (t > splat(0.0, 8)) & (t < splat(far, 8)))
-                    while lanes != 0:
-                        this = face_of(wide.leaves, leaf, lowest_bit(lanes))
-                        lanes &= lanes - 1
-                        if (this < wave.first[at + i] or this >= wave.end[at + i]) and this != wave.target[at + i]:
-                            searching &= ~(1 << i)
-                            break
-        active = 0
-        while size > 0 and active == 0:
-            size -= 1
-            active = entry(stack, size) & searching
-        if active == 0:
-            break
-        node = entry(stack, NODES + size)
-    for lane in range(SIZE):
-        wave.found[at + lane] = (searching >> lane) & 1 == 0

@@ -1,8 +1,8 @@
 """`closest_hit` and `any_hit` as this machine computes them best, singly and in waves of up to 64 rays.
 
 All meet the same face at the same t: the descent of the binary tree, the reference, which needs no vectors; that of
-the tree of 8 children, eight boxes or triangles at a time; and among few polygons float32, as far as it is sure. What
-is left of a wave is traced in eights, as packets where that pays, else singly, or, for any hit, as bundles.
+the tree of 8 children, eight boxes or triangles at a time; and among few polygons float32, as far as it is sure. Of a
+wave eight rays are a packet where that pays, and what is left is a stream.
 """
 
 import numpy as np
@@ -18,10 +18,10 @@ from termwise.renderer.geometry.polygons import (
     closest_hits_among_polygons,
     first_bits,
 )
-from termwise.renderer.geometry.simd import lowest_bit
+from termwise.renderer.geometry.streams import any_hits_of_stream, closest_hits_of_stream
 from termwise.renderer.geometry.wave import BACKOFF, SIZE, Wave, put_hit
 from termwise.renderer.jit import device, kernel, subroutine
-from termwise.renderer.vector import column, entry, vec3
+from termwise.renderer.vector import column, vec3
 
 _VECTORS = simd.available()
 _NEAREST, _ANY = range(2)
@@ -90,24 +90,19 @@ if _VECTORS:
             for at in range(0, count - packets.SIZE + 1, packets.SIZE):
                 if _closest_hits_of_packet(tree, wave, at, far, stack):
                     left &= ~(_EIGHT << at)
-        while left != 0:
-            i = lowest_bit(left)
-            left &= left - 1
-            ray = make_ray(column(wave.origins, i), column(wave.directions, i))
-            ignore = FaceRange(entry(wave.first, i), entry(wave.end, i))
-            put_hit(wave, i, bvh8_traverse.closest_hit(tree.bvh8, ray, far, ignore, stack))
+        if left != 0:
+            closest_hits_of_stream(tree.bvh8, wave, left, far, stack)
 
     @device
-    def _any_hits_of_eight(
-        tree: Tree, wave: Wave, at: int, count: int, far: float, coherent: bool, stack: np.ndarray
-    ) -> None:
-        if coherent and count == packets.SIZE and _hopeful(wave, _ANY):
-            packet = packets.make_packet(tree.bvh8, wave, at)
-            if packet.coherent and packets.any_hits_of_packet(tree.bvh8, packet, wave, at, far, stack):
-                wave.backoff[_ANY, 1] = BACKOFF
-                return
-            _give_up(wave, _ANY)
-        packets.any_hits_of_bundle(tree.bvh8, wave, at, count, far, stack)
+    def _any_hits_of_packet(tree: Tree, wave: Wave, at: int, far: float, stack: np.ndarray) -> bool:
+        if not _hopeful(wave, _ANY):
+            return False
+        packet = packets.make_packet(tree.bvh8, wave, at)
+        if packet.coherent and packets.any_hits_of_packet(tree.bvh8, packet, wave, at, far, stack):
+            wave.backoff[_ANY, 1] = BACKOFF
+            return True
+        _give_up(wave, _ANY)
+        return False
 
     @subroutine
     def any_hits_of_wave(
@@ -117,10 +112,12 @@ if _VECTORS:
         left = first_bits(count)
         if tree.polygons.count > 0:
             left = any_hits_among_polygons(tree.polygons, wave, count, far)
-            coherent = False
-        for at in range(0, count, packets.SIZE):
-            if (left >> at) & _EIGHT != 0:
-                _any_hits_of_eight(tree, wave, at, min(packets.SIZE, count - at), far, coherent, stack)
+        elif coherent:
+            for at in range(0, count - packets.SIZE + 1, packets.SIZE):
+                if _any_hits_of_packet(tree, wave, at, far, stack):
+                    left &= ~(_EIGHT << at)
+        if left != 0:
+            any_hits_of_stream(tree.bvh8, wave, left, far, stack)
 
 else:
     closest_hit = traverse.closest_hit
@@ -163,13 +160,17 @@ def closest_hits(
     t: np.ndarray,
     face: np.ndarray,
     wave: Wave,
+    coherent: bool,
 ) -> None:
-    """Distance t (N,) and face (N,) int32 of the nearest hit of rays (N, 3), (N, 3); far and -1 where none is."""
+    """Distance t (N,) and face (N,) int32 of the nearest hit of rays (N, 3), (N, 3); far and -1 where none is.
+
+    `coherent`: rays that follow each other begin near each other and go the same way.
+    """
     stack = np.empty(STACK_SIZE, np.int32)
     for row in range(0, len(origins), SIZE):
         count = min(SIZE, len(origins) - row)
         _load_wave(origins, directions, row, count, wave)
-        closest_hits_of_wave(corners, tree, wave, count, far, True, stack)
+        closest_hits_of_wave(corners, tree, wave, count, far, coherent, stack)
         for i in range(count):
             t[row + i] = wave.t[i]
             face[row + i] = wave.face[i]
@@ -184,13 +185,14 @@ def any_hits(
     far: float,
     found: np.ndarray,
     wave: Wave,
+    coherent: bool,
 ) -> None:
-    """Whether each ray hits anything nearer than `far`: (N,) bool."""
+    """Whether each ray hits anything nearer than `far`: (N,) bool; `coherent` as in `closest_hits`."""
     stack = np.empty(STACK_SIZE, np.int32)
     for row in range(0, len(origins), SIZE):
         count = min(SIZE, len(origins) - row)
         _load_wave(origins, directions, row, count, wave)
-        any_hits_of_wave(corners, tree, wave, count, far, True, stack)
+        any_hits_of_wave(corners, tree, wave, count, far, coherent, stack)
         for i in range(count):
             found[row + i] = wave.found[i]
 

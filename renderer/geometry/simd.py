@@ -438,6 +438,22 @@ def load_ints(typingctx: Any, array: Any, start: Any, lanes: Any) -> Any:
 
 
 @intrinsic
+def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
+    """Fetch the cache line of an entry of a C-contiguous array, which need not exist."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = builder.gep(_data(context, builder, sig, args), [args[1]])
+        number = ir.IntType(32)
+        place = builder.bitcast(place, ir.IntType(8).as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [place.type, number, number, number])
+        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(fetch, [place, *(ir.Constant(number, value) for value in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), codegen
+
+
+@intrinsic
 def lowest_bit(typingctx: Any, value: Any) -> Any:
     """Index of the lowest bit that is set; the value is not 0."""
 

@@ -10,7 +10,7 @@ from termwise.renderer.memory import on_own_lines
 from termwise.renderer.vector import Vec3, entry, put_column
 
 SIZE = 64
-# Packets that are traced as bundles after one that did not pay, or was none; twice as many each time.
+# Packets that go with the stream after one that did not pay, or was none; twice as many each time.
 BACKOFF = 4
 
 
@@ -24,10 +24,11 @@ class Wave(NamedTuple):
     target : (64,) int32, a face that hides nothing (-1: none).
     t, b1, b2, face : (64,) float64, the last int32: the nearest hits, as `Hit` has them.
     found : (64,) bool, whether anything is hit.
-    scaled : (10, 64) float32 scratch: origins, directions, moments and far ends in the coordinates of `polygons`.
+    scaled : (10, 64) float32 scratch: origins, directions, moments and far ends in the coordinates of `polygons`, or
+        what the boxes of `streams` ask.
     candidates : (64,) int32 scratch.
-    shears : (8, 8) float64 scratch of `packets`.
-    backoff : (2, 2) int64, for nearest and for any hits: how many packets more are traced as bundles at once, and how
+    shears, axes : (7, 64) float64 and (6, 64) int32 scratch of `streams`.
+    backoff : (2, 2) int64, for nearest and for any hits: how many packets more go with the stream at once, and how
         many after the next packet that does not pay.
     """
 
@@ -44,6 +45,7 @@ class Wave(NamedTuple):
     scaled: np.ndarray
     candidates: np.ndarray
     shears: np.ndarray
+    axes: np.ndarray
     backoff: np.ndarray
 
 
@@ -62,7 +64,8 @@ def new_wave() -> Wave:
         np.zeros(SIZE, np.bool_),
         np.zeros((10, SIZE), np.float32),
         np.zeros(SIZE, np.int32),
-        np.zeros((8, 8)),
+        np.zeros((7, SIZE)),
+        np.zeros((6, SIZE), np.int32),
         np.array([[0, BACKOFF], [0, BACKOFF]]),
     )
     return Wave(*map(on_own_lines, arrays))

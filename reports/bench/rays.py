@@ -33,11 +33,15 @@ _CHUNK = 2**15
 
 
 class Rays(NamedTuple):
-    """Float32 numbers in float64 arrays (N, 3): both sides trace the same rays; `far` in lengths of direction."""
+    """Float32 numbers in float64 arrays (N, 3): both sides trace the same rays; `far` in lengths of direction.
+
+    `coherent`: those that follow each other go the same way, as our kernels say of such rays.
+    """
 
     origins: np.ndarray
     directions: np.ndarray
     far: float
+    coherent: bool
 
 
 class Prepared(NamedTuple):
@@ -136,11 +140,12 @@ def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
         _round(np.broadcast_to(eye, directions.shape)),
         _round(directions / np.linalg.norm(directions, axis=1, keepdims=True)),
         np.inf,
+        coherent=True,
     )
     if kind == "primary":
         return primary
     t, face = np.empty(len(directions)), np.empty(len(directions), np.int32)
-    closest_hits(mesh.corners, mesh.tree, primary.origins, primary.directions, np.inf, t, face, new_wave())
+    closest_hits(mesh.corners, mesh.tree, primary.origins, primary.directions, np.inf, t, face, new_wave(), True)
     hit = np.flatnonzero(face >= 0)
     if kind == "ao":
         # Every 64th pixel of a row or so, each with its fan.
@@ -156,12 +161,12 @@ def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
     if kind == "shadow":
         light = centre + extent * np.array([0.6, -0.4, 1.5])
         light = light + extent * 0.4 * np.c_[rng.uniform(-0.5, 0.5, (len(hit), 2)), np.zeros(len(hit))]
-        return Rays(_round(points), _round(light - points), 1.0)
+        return Rays(_round(points), _round(light - points), 1.0, coherent=True)
     # A point of the unit sphere added to the normal is cosine-weighted.
     sphere = rng.normal(size=points.shape)
     cosine = normals + sphere / np.linalg.norm(sphere, axis=1, keepdims=True)
     cosine /= np.linalg.norm(cosine, axis=1, keepdims=True)
-    return Rays(_round(points), _round(cosine), 0.5 * extent if kind == "ao" else np.inf)
+    return Rays(_round(points), _round(cosine), 0.5 * extent if kind == "ao" else np.inf, coherent=False)
 
 
 def is_any(kind: str) -> bool:
@@ -191,12 +196,20 @@ class Ours:
             self.t[part],
             self.face[part],
             new_wave(),
+            rays.coherent,
         )
 
     def _any(self, part: slice) -> None:
         mesh, rays = self.mesh, self.rays
         any_hits(
-            mesh.corners, mesh.tree, rays.origins[part], rays.directions[part], rays.far, self.found[part], new_wave()
+            mesh.corners,
+            mesh.tree,
+            rays.origins[part],
+            rays.directions[part],
+            rays.far,
+            self.found[part],
+            new_wave(),
+            rays.coherent,
         )
 
     def run(self) -> None:

@@ -36,10 +36,16 @@ Hits = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def fast(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, far: float) -> Hits:
-    t, face, found = (np.empty(len(origins)), np.empty(len(origins), np.int32), np.empty(len(origins), np.bool_))
-    closest_hits(corners, tree, origins, directions, far, t, face, new_wave())
-    any_hits(corners, tree, origins, directions, far, found, new_wave())
-    return t, face, found
+    """By streams alone, and with packets before them; both must be equal."""
+    found = []
+    for coherent in (False, True):
+        t, face, hit = (np.empty(len(origins)), np.empty(len(origins), np.int32), np.empty(len(origins), np.bool_))
+        closest_hits(corners, tree, origins, directions, far, t, face, new_wave(), coherent)
+        any_hits(corners, tree, origins, directions, far, hit, new_wave(), coherent)
+        found.append((t, face, hit))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+    return found[0]
 
 
 def reference(corners: np.ndarray, tree: Tree, origins: np.ndarray, directions: np.ndarray, far: float) -> Hits:
