@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from termwise.renderer import material, sky_light, triangles
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.lights import Emitters, emitters_of, samples_differ
 from termwise.renderer.material import Materials
 from termwise.renderer.sky_light import SkyMap
@@ -18,6 +19,7 @@ from termwise.renderer.vector import Vec3
 from termwise.scenes.model import Camera, Scene
 
 
+@by_reference
 class ShadowRule(NamedTuple):
     """The paper's: centres (L, 3) of the lights, and each one's object (L,) int32, -1 for a point."""
 
@@ -25,6 +27,7 @@ class ShadowRule(NamedTuple):
     object: np.ndarray
 
 
+@by_reference
 class SkyArrays(NamedTuple):
     """A constant colour, or a texture (H, W, 3) on a sphere; the texture is (0, 0, 3) without one."""
 
@@ -63,6 +66,7 @@ class Skips(NamedTuple):
     pixel: bool
 
 
+@by_reference
 class SceneArrays(NamedTuple):
     """All that a kernel sees of a scene; `ambient_range` 0 means that ambient occlusion is off.
 

@@ -92,9 +92,8 @@ def _compile(function: F, folder: str = "", **options: Any) -> F:
 def device(function: F) -> F:
     """Compile a function that kernels call; it may not make an array.
 
-    It is inlined into the kernel, always: a call that LLVM leaves copies the whole scene, hundreds of words of array
-    descriptors, to the stack. It counts no references: the kernel holds all arrays while it runs, and threads would
-    share the counters, which are atomic.
+    It is inlined into the kernel, always: renders take longer where LLVM leaves calls (docs/performance.md). It counts
+    no references: the kernel holds all arrays while it runs, and threads would share the counters, which are atomic.
     """
     if cast(Any, config).DISABLE_JIT:
         return _compile(function)
@@ -105,7 +104,7 @@ def subroutine(function: F) -> F:
     """Compile a function that kernels call, as `device` does, but let LLVM leave it a call.
 
     For what does so much at once that a call is lost in it, a wave of rays: a kernel that calls it twice has it once.
-    Its arguments should be few, the scene is not among them.
+    Tuples of many words that it takes are `by_reference`.
     """
     if cast(Any, config).DISABLE_JIT:
         return _compile(function)

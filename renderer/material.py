@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from termwise.renderer import textures
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.dielectric import REFLECTED, REFRACTED, Interface
 from termwise.renderer.jit import device
 from termwise.renderer.textures import Textures, color_at, number_at
@@ -31,6 +32,7 @@ if TYPE_CHECKING:  # they hold what is defined here
     from termwise.renderer.surface import Surface
 
 
+@by_reference
 class Dielectrics(NamedTuple):
     """The surfaces of each object that reflect, and let through, as dielectrics do.
 
@@ -48,6 +50,7 @@ class Dielectrics(NamedTuple):
     transmission: np.ndarray
 
 
+@by_reference
 class Materials(NamedTuple):
     """What surfaces of each object do to light, the spheres' behind the others; emitters are black.
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.kernel_mass import EXPONENTS
 from termwise.renderer.memory import aligned
@@ -27,6 +28,7 @@ _PLACED = 1 << 16  # photons that a thread copies at a time
 KEPT_BYTES = 1 << 28
 
 
+@by_reference
 class PhotonMap(NamedTuple):
     """Photons sorted by grid cell.
 

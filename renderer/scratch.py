@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.geometry.bvh import STACK_SIZE
 from termwise.renderer.geometry.wave import SIZE, Wave, new_wave
 from termwise.renderer.memory import aligned, on_own_lines
@@ -17,6 +18,7 @@ COUNTERS = ("rays", "occlusion rays", "photons", "density estimates")
 RAYS, OCCLUSION_RAYS, PHOTONS, DENSITY_ESTIMATES = range(len(COUNTERS))
 
 
+@by_reference
 class Seen(NamedTuple):
     """What the camera rays of one replicate meet, kept for the terms that follow: all terms look along the same rays.
 
@@ -43,6 +45,7 @@ SEEN_BYTES = 4 + 5 * 8  # of a primary hit
 NOTHING_SEEN = new_seen(0, 0, 0)
 
 
+@by_reference
 class LightSamples(NamedTuple):
     """Points that ask for light, and one sample of it for each.
 
@@ -76,6 +79,7 @@ def _new_light_samples() -> LightSamples:
     return LightSamples(*map(on_own_lines, arrays))
 
 
+@by_reference
 class Scratch(NamedTuple):
     """Memory of one thread.
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.lights import running_sum
 from termwise.renderer.sky import sky_radiance
@@ -28,6 +29,7 @@ _BELOW_ONE = 1.0 - 2.0**-53
 _FLOOR = 1e-3  # of the mean: the least that a texel weighs, so that none is out of reach
 
 
+@by_reference
 class SkyMap(NamedTuple):
     """Where the sky is bright.
 

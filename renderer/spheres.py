@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.geometry.intersect import FaceRange, Hit
 from termwise.renderer.jit import device
 from termwise.renderer.vector import Vec3, dot, length, mad, scale, sub, vec3
@@ -17,6 +18,7 @@ from termwise.renderer.warp import sin_cos_turn
 from termwise.scenes.model import Scene
 
 
+@by_reference
 class Spheres(NamedTuple):
     """The spheres of a scene: centers (S, 3), radii (S,), and the number that the first has among faces."""
 

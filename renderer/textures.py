@@ -11,12 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.vector import Vec3
 from termwise.scenes.model import Scene
 from termwise.scenes.textures import Texture
 
 
+@by_reference
 class Textures(NamedTuple):
     """The images of a scene, one behind the other, each once.
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.geometry import bvh
 from termwise.renderer.geometry.bvh import Tree
 from termwise.renderer.jit import device
@@ -13,6 +14,7 @@ from termwise.renderer.vector import Vec3, normalize, vec3
 from termwise.scenes.model import Scene
 
 
+@by_reference
 class Geometry(NamedTuple):
     """What the kernels know of the triangles.
 

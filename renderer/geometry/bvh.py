@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.geometry import bvh8, simd
 from termwise.renderer.geometry.bvh8 import MAX_DEPTH, STACK_SIZE, Bvh8
 from termwise.renderer.geometry.polygons import Polygons, polygons_of
@@ -22,6 +23,7 @@ _HALVING_DEPTH = 48
 __all__ = ["STACK_SIZE", "Tree", "build", "bytes_of"]
 
 
+@by_reference
 class Tree(NamedTuple):
     """Nodes in preorder: the left child of node i is i + 1.
 

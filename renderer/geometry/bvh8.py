@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.geometry.intersect import component
 from termwise.renderer.jit import kernel
 from termwise.renderer.memory import aligned
@@ -39,6 +40,7 @@ DEEPEST = WIDTH * MAX_DEPTH + WIDTH
 STACK_SIZE = 2 * 64 * DEEPEST + 2048
 
 
+@by_reference
 class Bvh8(NamedTuple):
     """The tree; its coordinates are `(x - center) scale`, in [-1, 1].
 

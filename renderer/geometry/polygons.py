@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.geometry.bvh8_traverse import Shear, distances, edges
 from termwise.renderer.geometry.intersect import FaceRange, Ray, component
 from termwise.renderer.geometry.simd import (
@@ -70,6 +71,7 @@ _EDGES, _NORMAL, _HEIGHT, _BOUNDS, _LOW, _HIGH, _PLANE, _TILT, _ROWS = 0, 18, 21
 _NOWHERE = 2e30
 
 
+@by_reference
 class Polygons(NamedTuple):
     """Triangles and parallelograms; nothing where there are too many.
 

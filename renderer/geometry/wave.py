@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.geometry.intersect import Hit
 from termwise.renderer.jit import device
 from termwise.renderer.memory import on_own_lines
@@ -14,6 +15,7 @@ SIZE = 64
 BACKOFF = 4
 
 
+@by_reference
 class Wave(NamedTuple):
     """Rays and what they meet; a part of them counts, the first ones.
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.lights import directional, face, point, sphere, spot, sun
 from termwise.renderer.lights.directional import Directionals
@@ -41,6 +42,7 @@ KINDS = (point, face, spot, directional, sun, sphere)
 POINT, FACE, SPOT, DIRECTIONAL, SUN, SPHERE = range(len(KINDS))
 
 
+@by_reference
 class Emitters(NamedTuple):
     """All emitters of a scene.
 

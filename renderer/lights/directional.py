@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.lights.distant import Ball, ball_of, before, out_of
 from termwise.renderer.vector import Vec3, dot, negate, scale, vec3
@@ -24,6 +25,7 @@ SOURCE = DirectionalLight
 DRAWS = False
 
 
+@by_reference
 class Directionals(NamedTuple):
     """The directional lights of a scene.
 

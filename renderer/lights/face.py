@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.lights.arriving import arriving
 from termwise.renderer.material import emission
@@ -28,6 +29,7 @@ SOURCE = Object
 DRAWS = True
 
 
+@by_reference
 class Faces(NamedTuple):
     """The emitting faces of a scene.
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.lights.aim import cone
 from termwise.renderer.lights.arriving import arriving
@@ -22,6 +23,7 @@ SOURCE = PointLight
 DRAWS = False
 
 
+@by_reference
 class Points(NamedTuple):
     """The point lights of a scene.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.vector import Vec3, dot, entry, frame, mad, scale, sub, to_world, vec3
 from termwise.renderer.warp import INV_PI, square_to_cosine_hemisphere, square_to_uniform_cone, square_to_uniform_sphere
@@ -23,6 +24,7 @@ SOURCE = SphereLight
 DRAWS = True
 
 
+@by_reference
 class SphereLights(NamedTuple):
     """The spheres of a scene that shine.
 

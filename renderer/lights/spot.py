@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.lights.arriving import arriving
 from termwise.renderer.vector import Vec3, cross, dot, frame, length, scale, sub, to_world, vec3
@@ -25,6 +26,7 @@ SOURCE = SpotLight
 DRAWS = False
 
 
+@by_reference
 class Spots(NamedTuple):
     """The spot lights of a scene.
 

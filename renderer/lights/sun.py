@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
 from termwise.renderer.lights.distant import Ball, ball_of, before, out_of
 from termwise.renderer.vector import Vec3, add, dot, frame, negate, scale, to_world, vec3
@@ -25,6 +26,7 @@ SOURCE = SunLight
 DRAWS = True
 
 
+@by_reference
 class Suns(NamedTuple):
     """The suns of a scene.
 

@@ -1,0 +1,141 @@
+"""NamedTuples that kernels take by reference: what they read of them, in time, and what they give back.
+
+Rationale: the pointer, its loads and the counters of arrays are machine code that is written by hand: a wrong field, a
+load that is moved over a write, or an array that is never freed would show in no image of a run that is short.
+"""
+
+import gc
+import os
+import sys
+import weakref
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from termwise.renderer.by_reference import by_reference
+from termwise.renderer.jit import device, kernel
+from termwise.renderer.vector import Vec3
+
+pytestmark = pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compilation is what is tested")
+
+
+class _Pair(NamedTuple):
+    first: np.ndarray
+    second: int
+
+
+@by_reference
+class _Inner(NamedTuple):
+    flags: np.ndarray
+    numbers: np.ndarray
+    weight: Vec3
+
+
+@by_reference
+class _Outer(NamedTuple):
+    on: bool
+    missing: _Inner | None
+    inner: _Inner
+    pair: _Pair
+    far: float
+
+
+@device
+def _of_missing(missing: _Inner | None) -> float:
+    if missing is not None:
+        return missing.weight.x
+    return 0.5
+
+
+@kernel
+def _read(outer: _Outer, out: np.ndarray) -> None:
+    inner = outer.inner
+    out[0] = 1.0 if outer.on else 0.0
+    out[1] = _of_missing(outer.missing)
+    out[2] = inner.weight.x + 10.0 * inner.weight.y + 100.0 * inner.weight.z
+    out[3] = outer.pair.first[1, 0]
+    out[4] = outer.pair.second
+    out[5] = outer.far
+    for i in range(len(inner.numbers)):
+        if inner.flags[i]:
+            out[6] += inner.numbers[i]
+
+
+@kernel
+def _double(outer: _Outer, times: int) -> float:
+    total = 0.0
+    for _ in range(times):
+        for i in range(len(outer.inner.numbers)):
+            outer.inner.numbers[i] *= 2.0
+            total += outer.inner.numbers[0]
+    return total
+
+
+@device
+def _more(outer: _Outer, count: int) -> int:
+    return count + len(outer.inner.numbers)
+
+
+@kernel
+def _count(outer: _Outer, times: int) -> int:
+    count = 0
+    for _ in range(times):
+        count = _more(outer, count)
+    return count
+
+
+def outer(*, on: bool = True, missing: _Inner | None = None) -> _Outer:
+    inner = _Inner(np.array([True, False, True]), np.array([1.0, 2.0, 4.0]), Vec3(1.0, 2.0, 3.0))
+    return _Outer(on, missing, inner, _Pair(np.arange(4, dtype=np.int32).reshape(2, 2), 7), 9.0)
+
+
+@pytest.mark.parametrize("on", [False, True])
+def test_fields_are_read(on):
+    """Numbers, flags, tuples, arrays of each shape, a reference and a plain tuple within, and one that is missing."""
+    out = np.zeros(7)
+    _read(outer(on=on), out)
+    assert out.tolist() == [float(on), 0.5, 321.0, 2.0, 7.0, 9.0, 5.0]
+    _read(outer(on=on, missing=outer().inner._replace(weight=Vec3(8.0, 0.0, 0.0))), out)
+    assert out[1] == 8.0
+
+
+def test_what_arrays_hold_is_read_anew():
+    """Fields stay, their arrays' content does not: 1, 2, 4 doubled five times, the first summed up after each."""
+    given = outer()
+    assert _double(given, 5) == 3 * (2 + 4 + 8 + 16 + 32)
+    assert given.inner.numbers.tolist() == [32.0, 64.0, 128.0]
+
+
+def test_arrays_are_given_back():
+    """Their counts of references are what they were, and they can be freed."""
+    given = outer()
+    arrays = given.inner.flags, given.inner.numbers, given.pair.first
+    before = [sys.getrefcount(array) for array in arrays]
+    for _ in range(10):
+        _double(given, 1)
+        _count(given, 3)
+    assert [sys.getrefcount(array) for array in arrays] == before
+    ends = [weakref.ref(array) for array in arrays]
+    del given, arrays
+    gc.collect()
+    assert all(end() is None for end in ends)
+
+
+def test_other_fields_are_another_type():
+    """A field of another type has code of its own, and the right one is called."""
+    given = outer()
+    assert _count(given, 2) == 6
+    wide = given._replace(inner=given.inner._replace(numbers=np.zeros(5, np.float32)))
+    assert (_count(wide, 2), _count(given, 1)) == (10, 3)
+
+
+def test_an_unknown_field_is_refused():
+    """As of any type: a typing error that names it."""
+
+    @kernel
+    def wrong(outer: _Outer) -> float:
+        return outer.nothing  # pyright: ignore
+
+    with pytest.raises(Exception, match="nothing"):
+        wrong(outer())
