@@ -19,7 +19,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core import config
+from numba.core import config, types
+from numba.extending import models, register_model
 
 from termwise.scenes.store import cache_folder
 
@@ -111,6 +112,21 @@ def subroutine(function: F) -> F:
     return cast(F, _Device(function, inline=False))
 
 
+class _Callee(types.Dispatcher):
+    """Numba's type of a function that kernels call, to which a constant is a number like any other.
+
+    A count that begins at 0 would have all that it is handed to compiled twice, for a 0 and for any integer.
+    """
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        """Signature of a call, compiled."""
+        named = {name: types.unliteral(each) for name, each in dict(kws).items()}
+        return super().get_call_type(context, tuple(map(types.unliteral, args)), named)
+
+
+register_model(_Callee)(models.OpaqueModel)
+
+
 class _Device:
     """A function that is compiled for kernels alone, and a second time should Python call it.
 
@@ -128,8 +144,8 @@ class _Device:
 
     @property
     def _numba_type_(self) -> Any:
-        """Kernels that name this see the dispatcher: Numba asks each value for its type by this name."""
-        return cast(Any, self._for_kernels)._numba_type_
+        """What kernels that name this see: Numba asks each value for its type by this name."""
+        return _Callee(self._for_kernels)
 
     def __call__(self, *arguments: Any) -> Any:
         return self._for_python(*arguments)

@@ -130,6 +130,14 @@ def test_other_fields_are_another_type():
     assert (_count(wide, 2), _count(given, 1)) == (10, 3)
 
 
+def test_a_count_that_begins_at_0_is_compiled_once():
+    """`_count` hands on a 0, then an integer: to Numba the 0 is a type of its own, and all behind it compiled twice."""
+    _count(outer(), 1)
+    kinds = [signature[1] for signature in _more._for_kernels.overloads]
+    assert kinds
+    assert all(str(kind) == "int64" for kind in kinds)
+
+
 def test_an_unknown_field_is_refused():
     """As of any type: a typing error that names it."""
 
