@@ -30,7 +30,6 @@ def render(
     seed: int = 0,
     chain: Chain = "next-event",
     threads: int | None = None,
-    adaptive: bool = False,
     keep: bool = True,
 ) -> TermImage:
     """Render one term.
@@ -40,12 +39,12 @@ def render(
     scene : a scene, the name of one of the library, or the path of a scene file.
     term : one of `scenes.terms.TERMS`: "ambient", "direct", "specular", "transmission" or "background".
     variant : the estimator; the term's default without a name.
-    samples : samples per pixel and replicate; powers of two keep the points well spread.
+    samples : samples per pixel and replicate, of the mean pixel where contrast decides (`renderer.counts`); powers of
+        two keep the points well spread.
     replicates : independent repetitions; 2 or more give a variance, and `judge` takes 4 or more.
     seed : in [0, 2^64 - 1]; equal seeds give equal bits, for any number of threads.
     chain : what the other terms are at the vertices of a specular chain, see `renderer.terms.variant.Chain`.
     threads : None: one a core.
-    adaptive : whether a pilot, which is then discarded, gives more samples to the noisier tiles.
     keep : whether the replicates are kept beside their mean, as `judge` needs them; K images in place of two.
 
     Returns
@@ -54,8 +53,8 @@ def render(
 
     Raises
     ------
-    ValueError : an unknown term or variant, a count or a seed that is none, adaptive counts with photon maps; the
-        message lists what is allowed. A scene that cannot be loaded is a `FileError`, which is one too.
+    ValueError : an unknown term or variant, a count or a seed that is none; the message lists what is allowed. A scene
+        that cannot be loaded is a `FileError`, which is one too.
     """
     images = render_terms(
         load(scene),
@@ -65,7 +64,6 @@ def render(
         seed=seed,
         chain=chain,
         threads=threads,
-        adaptive=adaptive,
         keep=keep,
     )
     return images[term]
@@ -80,7 +78,6 @@ def render_terms(
     seed: int = 0,
     chain: Chain = "next-event",
     threads: int | None = None,
-    adaptive: bool = False,
     keep: bool = False,
     report: Callable[[str, int, int], None] = lambda term, done, total: None,
 ) -> dict[str, TermImage]:
@@ -101,7 +98,7 @@ def render_terms(
     seconds = dict.fromkeys(variants, 0.0)
     kept = KEPT_BYTES if len(variants) > 1 else 0
     total, before = samples * replicates * len(estimators), 0
-    with Engine(scene, threads=threads, adaptive=adaptive, kept_bytes=kept) as engine:
+    with Engine(scene, threads=threads, kept_bytes=kept) as engine:
         for replicate in range(replicates):
             for term, estimator in estimators.items():
                 report(f"{term}, compiling", before, total)

@@ -14,13 +14,14 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from termwise.renderer import photon_map, photon_tracing
-from termwise.renderer.adaptive import PILOT, SIDE, shares
 from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays, from_scene, most_survival
-from termwise.renderer.film import GeometryImages, Tile, trace_centres
+from termwise.renderer.counts import LEAST, Contrast, contrast, corner_camera, corners_of, counts
+from termwise.renderer.film import ALONE, GeometryImages, Tile, trace_centres
 from termwise.renderer.jit import warm
 from termwise.renderer.plan import (
     REDUCTIONS,
     SKIPS,
+    by_contrast,
     check,
     may_see,
     needs_every_pixel,
@@ -45,12 +46,14 @@ _TILES_A_THREAD, _SMALLEST = 4, 4
 # Samples that share a map of a search for the k nearest at the vertices of a chain: its radius does not shrink.
 _CHAINS_A_MAP = 128
 
-_PILOT_STREAM = 1 << 41  # beyond the streams of pixels and of photons
+# What the corners of pixels are seen with: the same for every seed, beyond the streams of pixels and of photons.
+_CORNERS = stream(root(0, 0), 1 << 41)
 
 
-def _tiles(wanted: np.ndarray, *, least: int, side: int = TILE) -> list[Tile]:
+def _tiles(wanted: np.ndarray, *, least: int) -> list[Tile]:
     """Tiles that hold the wanted pixels (H, W) bool; at least `least` of them, if the image is large enough."""
     height, width = wanted.shape
+    side = TILE
     while side > _SMALLEST and -(-width // side) * -(-height // side) < least:
         side //= 2
     tiles = []
@@ -63,15 +66,9 @@ def _tiles(wanted: np.ndarray, *, least: int, side: int = TILE) -> list[Tile]:
     return tiles
 
 
-def _work(tiles: list[Tile], share: np.ndarray, first: int, last: int, split: int) -> np.ndarray:
-    """What samples [first, last) of the mean pixel are in each tile: one at least of each, as soon as there are any.
-
-    (N, 7) int64, see `film.PrimaryHits`.
-    """
-    begin = np.where(first > 0, np.maximum(1, np.floor(first * share)), 0).astype(int)
-    end = np.maximum(1, np.floor(last * share)).astype(int)
-    item = np.array(tiles, np.int64).reshape(-1, 4)
-    return np.column_stack([item, begin, end, np.full(len(tiles), split)])
+def _work(tiles: list[Tile], split: int) -> np.ndarray:
+    """Samples of the tiles' pixels, (N, 5) int64, see `film.PrimaryHits`."""
+    return np.column_stack([np.array(tiles, np.int64).reshape(-1, 4), np.full(len(tiles), split)])
 
 
 class _Task(NamedTuple):
@@ -92,7 +89,6 @@ class Engine:
     threads : number of threads; None: one a core.
     without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work; or of REDUCTIONS: the
         same mean for more noise.
-    adaptive : whether a pilot decides how many samples each tile gets, see `renderer.adaptive`; N is then the mean.
     kept_bytes : memory for photon maps, and as much for what camera rays meet, kept while one replicate is rendered:
         terms that mean the same maps trace them once, and all terms the camera rays, which changes no bit, but the
         seconds of those that come later.
@@ -102,6 +98,7 @@ class Engine:
     ----------
     kernels : names of the kernels that were compiled, or loaded, for this scene.
     compile_seconds : how long that took.
+    contrasts : how much pixels vary, of each estimator that counts by it; found once, for all replicates.
     """
 
     def __init__(
@@ -110,13 +107,10 @@ class Engine:
         *,
         threads: int | None = None,
         without: Collection[str] = (),
-        adaptive: bool = False,
         kept_bytes: int = 0,
         pixel: tuple[int, int] | None = None,
     ) -> None:
         threads = (os.cpu_count() or 1) if threads is None else whole("threads", threads)
-        if adaptive and pixel is not None:
-            raise ValueError("pixel with adaptive = True: allowed is one of them, the pilot needs the whole image")
         allowed = *SKIPS, *REDUCTIONS
         for name in without:
             if name not in allowed:
@@ -133,6 +127,7 @@ class Engine:
         self._warmed: set[_Task] = set()
         self._kept_bytes = kept_bytes
         self._maps: dict[tuple, photon_map.PhotonMap] = {}
+        self.contrasts: dict[_Task, Contrast | None] = {}
         width, height = scene.resolution
         self._seen, self._seen_key = NOTHING_SEEN, np.uint64(0)
         everywhere = np.full((height, width), pixel is None)
@@ -141,7 +136,6 @@ class Engine:
                 if not 0 <= at < size:
                     raise ValueError(f"{scene.name}: {name} = {at}: allowed is an integer in [0, {size - 1}]")
             everywhere[pixel[1], pixel[0]] = True
-        self.adaptive = adaptive
         self._threads = threads
         self._everywhere = self._tiles(everywhere)
         # Of each term, those that may see an object that has it. All others are black, or the constant sky.
@@ -153,9 +147,8 @@ class Engine:
         }
 
     def _tiles(self, wanted: np.ndarray) -> list[Tile]:
-        """Tiles that hold the wanted pixels; those of adaptive counts decide the image, so the threads do not."""
-        least, side = (1, SIDE) if self.adaptive else (_TILES_A_THREAD * self._threads, TILE)
-        return _tiles(wanted, least=least, side=side)
+        """Tiles that hold the wanted pixels."""
+        return _tiles(wanted, least=_TILES_A_THREAD * self._threads)
 
     def __enter__(self) -> Self:
         """Return the engine; its threads end with the block."""
@@ -212,14 +205,13 @@ class Engine:
         """Yield (N, image, seconds) for N = 1, 2, 4, ..., samples of one replicate.
 
         `image` is the mean of the first N samples, (H, W, 3) float64; `seconds` the time since the start,
-        compilation excluded, a pilot's included. `progress` is called with (samples done, samples).
+        compilation excluded. `progress` is called with (samples done, samples).
         `counts`: other values of N, ascending and read one at a time, the last of them `samples`; each image has the
         same bits as if no other were asked for.
 
         Raises
         ------
-        ValueError : `samples` below 1, an option that the variant would ignore, or adaptive counts with a photon map a
-            sample.
+        ValueError : `samples` below 1, or an option that the variant would ignore.
         """
         samples = whole("samples", samples)
         check(self.scene, variant, chain=chain)
@@ -245,56 +237,60 @@ class Engine:
         key = root(request.seed, request.replicate)
         stored = needs_photons(self.scene, variant, chain, without=self.without)
         task = _Task(variant, driver, chain, stored)
-        if self.adaptive and stored:
-            raise ValueError(
-                f"{self.scene.name}: adaptive = True with {variant.term} {variant.name}, which has a photon map a "
-                "sample: allowed are variants without (direct path, the chain 'path', scope = 'first-hit')"
-            )
         photons = photon_map.empty()
         # Each pass has its own radius, hence its own map.
         per_map = _CHAINS_A_MAP if chain == "paper" and TABLE[variant.term].meets else 1
         tiles = self.tiles[variant.term]
-        # Adaptive counts are so few in places that each sample needs a camera ray.
-        split = 1 if self.adaptive or "splitting" in self.without else variant.split(self.scene)
+        split = 1 if "splitting" in self.without else variant.split(self.scene)
+        taken = np.zeros((height, width), np.int32)
         done = 0
         self._warm(task, key, out)
-        begin = time.perf_counter()
-        share = np.ones(len(tiles))
-        if self.adaptive:
-            share = self._pilot(task, stream(key, _PILOT_STREAM), tiles, cancel)
-        taken = np.ones((height, width, 1))
-        seconds = time.perf_counter() - begin
+        seconds = 0.0
         for count in request.counts:
             start = time.perf_counter()
-            first = done
-            while first < count:
-                last = count
+            while done < count:
+                first, last = done, count
                 if stored:
                     number = first // per_map
                     last = min(count, (number + 1) * per_map)
                     photons = self._shared(task, key, number, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
-                work = _work(tiles, share, first, last, split)
-                self._run(driver, inputs, key, work, out, self._room_for_hits(key, request.samples), cancel)
+                work = _work(tiles, split if last > ALONE else 1)
+                asked = self._counts(task, last, cancel)
+                seen = self._room_for_hits(key, request.samples)
+                self._add(driver, inputs, key, work, taken, asked, out, seen, cancel)
                 self._add_beyond(variant.term, out, last - first)
-                first = last
+                taken, done = asked, last
                 request.done(last)
-            done = count
             seconds += time.perf_counter() - start
-            taken[:] = count
-            for x0, y0, x1, y1, _, last, _ in _work(tiles, share, 0, count, split).tolist():
-                taken[y0:y1, x0:x1] = last
-            yield count, out / taken, seconds
+            yield count, out / taken.astype(np.float64)[:, :, None], seconds
 
-    def _pilot(self, task: _Task, key: np.uint64, tiles: list[Tile], cancel: threading.Event | None) -> np.ndarray:
-        """Share of each tile in the samples, by two images that are then thrown away."""
+    def _counts(self, task: _Task, samples: int, cancel: threading.Event | None) -> np.ndarray:
+        """How many of a run's first samples are each pixel's, (H, W) int32: what all prefixes agree upon."""
         width, height = self.scene.resolution
+        each = np.full((height, width), samples, np.int32)
+        if samples <= LEAST or "counts" in self.without or not by_contrast(self.scene, task.variant, task.chain):
+            return each
+        if task not in self.contrasts:
+            self.contrasts[task] = self._contrast(task, cancel)
+        if (found := self.contrasts[task]) is not None:
+            each[found.wanted] = counts(found, samples)
+        return each
+
+    def _contrast(self, task: _Task, cancel: threading.Event | None) -> Contrast | None:
+        """How much pixels vary, by one sample at each of their corners: the same for all replicates."""
+        width, height = self.scene.resolution
+        term = task.variant.term
+        wanted = may_see(self.scene, term)
+        if needs_every_pixel(self.scene, term):
+            wanted[:] = True
+        arrays = self.arrays._replace(camera=corner_camera(self.arrays.camera))
         inputs = task.variant.inputs(self.scene, task.chain, photon_map.empty())
-        work = _work(tiles, np.ones(len(tiles)), 0, PILOT, 1)
-        images = np.zeros((2, height, width, 3))
-        for number, image in enumerate(images):
-            self._run(task.driver, inputs, stream(key, number), work, image, NOTHING_SEEN, cancel)
-        return shares(tiles, *images)
+        work = _work(self._tiles(corners_of(wanted)), 1)
+        image = np.zeros((height + 1, width + 1, 3))
+        none, one = np.zeros(image.shape[:2], np.int32), np.ones(image.shape[:2], np.int32)
+        self._run(arrays, task.driver, inputs, _CORNERS, work, none, one, image, NOTHING_SEEN, cancel)
+        return contrast(image, wanted)
 
     def _add_beyond(self, term: Term, out: np.ndarray, samples: int) -> None:
         """What `samples` of a term add beyond its window, the constant sky, rounded as a kernel's sum is."""
@@ -325,18 +321,36 @@ class Engine:
             pass
         return images
 
-    def _run(
+    def _add(
         self,
         driver: Callable[..., None],
         inputs: tuple,
         key: np.uint64,
         work: np.ndarray,
+        begin: np.ndarray,
+        end: np.ndarray,
+        out: np.ndarray,
+        seen: Seen,
+        cancel: threading.Event | None,
+    ) -> None:
+        """Add the samples [begin, end) of each pixel to the image."""
+        self._run(self.arrays, driver, inputs, key, work, begin, end, out, seen, cancel)
+
+    def _run(
+        self,
+        arrays: SceneArrays,
+        driver: Callable[..., None],
+        inputs: tuple,
+        key: np.uint64,
+        work: np.ndarray,
+        begin: np.ndarray,
+        end: np.ndarray,
         out: np.ndarray,
         seen: Seen,
         cancel: threading.Event | None,
     ) -> None:
         scratch = self._unless(cancel)
-        parts = deque(self._parts(work))
+        parts = deque(self._parts(work, (end - begin).sum() / end.size))
 
         def draw() -> None:
             while True:
@@ -344,7 +358,7 @@ class Engine:
                     part = parts.popleft()
                 except IndexError:
                     return
-                driver(self.arrays, *inputs, key, part, out, scratch()._replace(seen=seen))
+                driver(arrays, *inputs, key, part, out, scratch()._replace(begin=begin, end=end, seen=seen))
 
         # The calling thread is one of them: another takes 0.1 ms to wake.
         others = [self.pool.submit(draw) for _ in range(min(self._threads, len(parts)) - 1)]
@@ -367,11 +381,10 @@ class Engine:
         self._seen_key = key
         return self._seen
 
-    def _parts(self, work: np.ndarray) -> list[np.ndarray]:
-        """Work (N, 7) in parts of every n-th tile, which take about the same time."""
-        x0, y0, x1, y1, first, last, _ = work.T
-        samples = int(np.sum((x1 - x0) * (y1 - y0) * (last - first)))
-        wanted = samples // (self._threads * _SAMPLES_A_PART)
+    def _parts(self, work: np.ndarray, samples: float) -> list[np.ndarray]:
+        """Work (N, 5), of so many samples a pixel, in parts of every n-th tile, which take about the same time."""
+        x0, y0, x1, y1, _ = work.T
+        wanted = int(np.sum((x1 - x0) * (y1 - y0)) * samples) // (self._threads * _SAMPLES_A_PART)
         count = max(1, min(len(work), self._threads * min(_MOST_PARTS, max(_FEWEST_PARTS, wanted))))
         return [np.ascontiguousarray(work[part::count]) for part in range(count)]
 
@@ -384,7 +397,7 @@ class Engine:
         # The one photon does not count.
         photons = self._photons(task, key, 0, 1, new_scratch) if task.stored else photon_map.empty()
         inputs = task.variant.inputs(self.scene, task.chain, photons)
-        warm(task.driver, self.arrays, *inputs, key, np.zeros((0, 7), np.int64), out, self._scratch())
+        warm(task.driver, self.arrays, *inputs, key, np.zeros((0, 5), np.int64), out, self._scratch())
         self._warmed.add(task)
         self.compile_seconds += time.perf_counter() - start
 

@@ -55,30 +55,22 @@ def samples_of(hit: int, split: int, first: int, last: int) -> tuple[int, int]:
     return max(first, _first_of(hit, split)), min(last, _first_of(hit + 1, split))
 
 
-@device
-def most_of(last: int, split: int) -> int:
-    """The most samples that a primary hit of samples [0, last) is for."""
-    return split if last > ALONE else 1
-
-
 class PrimaryHits(NamedTuple):
     """The wave of primary hits at hand, and where it stands in the work.
 
-    Work is (N, 7) int64, a row `(x0, y0, x1, y1, first, last, split)`: the samples [first, last) of a tile's pixels,
-    `split` of which share a camera ray. Many small tiles take one call of a kernel.
+    Work is (N, 5) int64, a row `(x0, y0, x1, y1, split)`: the samples of a tile's pixels that `scratch.begin` and
+    `scratch.end` say, `split` of which share a camera ray. Many small tiles take one call of a kernel.
 
     Attributes
     ----------
     count : how many, those of `scratch.primary`; 0 where there are no more.
     ends_tile : whether they are the last ones of their tile; a wave has no second one.
-    first, last, split : of the item.
+    split : of the item.
     item, next_x, next_y, next_index : of the next primary hit.
     """
 
     count: int
     ends_tile: bool
-    first: int
-    last: int
     split: int
     item: int
     next_x: int
@@ -89,7 +81,18 @@ class PrimaryHits(NamedTuple):
 @device
 def no_hits() -> PrimaryHits:
     """What stands before the first wave."""
-    return PrimaryHits(0, True, 0, 0, 1, -1, 0, 0, 0)
+    return PrimaryHits(0, True, 1, -1, 0, 0, 0)
+
+
+@device
+def _next_pixel(tile: np.ndarray, x: int, y: int, scratch: Scratch) -> tuple[int, int]:
+    """The first pixel of a tile, from (x, y) on, that takes samples; in the row below the tile where none does."""
+    while y < tile[3] and scratch.begin[y, x] >= scratch.end[y, x]:
+        x += 1
+        if x == tile[2]:
+            x = tile[0]
+            y += 1
+    return x, y
 
 
 @device
@@ -103,24 +106,24 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Primar
     A driver calls it in one place, in a loop that has no end, and leaves at `count` 0. As the condition of a `while` it
     would be compiled twice: Python repeats the condition behind the body.
     """
-    first, last, split = hits.first, hits.last, hits.split
-    item, x, y, index = hits.item, hits.next_x, hits.next_y, hits.next_index
-    if hits.ends_tile:
+    split, item, x, y, index = hits.split, hits.item, hits.next_x, hits.next_y, hits.next_index
+    begins = hits.ends_tile
+    while begins:
         item += 1
-        while item < len(work) and work[item, 4] >= work[item, 5]:
-            item += 1
         if item == len(work):
-            return PrimaryHits(0, True, first, last, split, item, x, y, index)
-        x, y = work[item, 0], work[item, 1]
-        first, last, split = work[item, 4], work[item, 5], work[item, 6]
-        index, _ = primary_hits_of(first, last, split)
-    x0, x1, y1 = work[item, 0], work[item, 2], work[item, 3]
-    begin, end = primary_hits_of(first, last, split)
+            return PrimaryHits(0, True, split, item, x, y, index)
+        x, y = _next_pixel(work[item], work[item, 0], work[item, 1], scratch)
+        begins = y == work[item, 3]
+    if hits.ends_tile:
+        split = work[item, 4]
+        index = primary_hits_of(scratch.begin[y, x], scratch.end[y, x], split)[0]
+    tile = work[item]
+    end = primary_hits_of(scratch.begin[y, x], scratch.end[y, x], split)[1]
     count = 0
     # The key of all randomness of a pixel.
     pixel = fold(key, y * scene.camera.width + x)
     known = scratch.seen.face.shape[1] > 0
-    while count < SIZE and y < y1:
+    while count < SIZE and y < tile[3]:
         scratch.x[count] = x
         scratch.y[count] = y
         scratch.pixel[count] = pixel
@@ -129,23 +132,31 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Primar
         count += 1
         index += 1
         if index == end:
-            index = begin
             x += 1
-            if x == x1:
-                x = x0
+            if x == tile[2]:
+                x = tile[0]
                 y += 1
-            pixel = fold(key, y * scene.camera.width + x)
+            x, y = _next_pixel(tile, x, y, scratch)
+            if y < tile[3]:
+                index, end = primary_hits_of(scratch.begin[y, x], scratch.end[y, x], split)
+                pixel = fold(key, y * scene.camera.width + x)
     if known:
         for i in range(count):
             _recall(scene, i, scratch)
     else:
-        _look(scene, begin, count, scratch)
-    return PrimaryHits(count, y == y1, first, last, split, item, x, y, index)
+        _look(scene, split, count, scratch)
+    return PrimaryHits(count, y == tile[3], split, item, x, y, index)
 
 
 @device
-def _look(scene: SceneArrays, begin: int, count: int, scratch: Scratch) -> None:
-    """Trace the first `count` primary hits, from a pixel's `begin` on, and keep those there is room for."""
+def _is_first(i: int, split: int, scratch: Scratch) -> bool:
+    """Whether primary hit i is the first one of its pixel that is asked for."""
+    return scratch.index[i] == _primary_hit_of(scratch.begin[scratch.y[i], scratch.x[i]], split)
+
+
+@device
+def _look(scene: SceneArrays, split: int, count: int, scratch: Scratch) -> None:
+    """Trace the first `count` primary hits, and keep those there is room for."""
     primary, camera = scratch.primary, scene.camera
     # Loops of their own: what hashes and maps eight points is vectorised.
     for i in range(count):
@@ -158,7 +169,7 @@ def _look(scene: SceneArrays, begin: int, count: int, scratch: Scratch) -> None:
     asked = 0
     for i in range(count):
         # The rays of a pixel are one; where a pixel goes on, it was traced with the 64 before.
-        if not shared or scratch.index[i] == begin:
+        if not shared or _is_first(i, split, scratch):
             put_ray(primary, asked, camera.position, column(primary.directions, i))
             asked += 1
     if asked > 0:
@@ -166,7 +177,7 @@ def _look(scene: SceneArrays, begin: int, count: int, scratch: Scratch) -> None:
     if shared:
         for i in range(count - 1, -1, -1):
             put_hit(primary, i, hit_of(primary, asked - 1) if asked > 0 else before)
-            asked -= 1 if scratch.index[i] == begin else 0
+            asked -= 1 if _is_first(i, split, scratch) else 0
         for i in range(count):
             direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])
             put_ray(primary, i, camera.position, direction)

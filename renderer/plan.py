@@ -330,10 +330,22 @@ def _splitting(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     return None
 
 
+def by_contrast(scene: Scene, variant: Variant, chain: Chain) -> bool:
+    """Whether the contrast between their corners says how many samples pixels get: even of no map, not of many."""
+    return variant.by_contrast and needs_photons(scene, variant, chain) is None
+
+
+def _counts(scene: Scene, variant: Variant, chain: Chain) -> str | None:
+    if not by_contrast(scene, variant, chain) or skipped(scene, variant.term):
+        return None
+    return "beyond 4 samples, one at each corner of a pixel says how much it varies: N / 4 to 8 N"
+
+
 REDUCTIONS: dict[str, Reduction] = {
     reduction.name: reduction
     for reduction in (
         Reduction("aimed", "photons that meet nothing", "those in the cone around the scene carry its flux", _aimed),
+        Reduction("counts", "samples where little varies", "what is known before a run decides", _counts),
         Reduction("lights", "samples of far lights", "each is as likely as its light at the point", _lights),
         Reduction("splitting", "camera rays", "each sample's point is as likely as with a ray of its own", _splitting),
         Reduction("roulette", "faint chains", "those that go on carry the light of all", _roulette),
@@ -516,7 +528,7 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
             steps.append(Step(term, "sky texture", "runs", f"{scene.sky.projection}, bilinear"))
     if "throughput" in applied:
         skip("throughput", "black chains")
-    for name in ("lights", "roulette"):
+    for name in ("counts", "lights", "roulette"):
         if name not in without and (reason := REDUCTIONS[name].reason(scene, variant, chain)):
             steps.append(Step(term, REDUCTIONS[name].work, "variance reduction", reason))
     return steps

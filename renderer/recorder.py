@@ -312,8 +312,10 @@ def main() -> None:
         inputs = inputs if given is None else given
         recorder.events = []
         out = np.zeros((scene.camera.height, scene.camera.width, 3))
-        work = np.array([[x, y, x + 1, y + 1, sample, sample + 1, split]])
-        estimator.driver(scene, *inputs, key, work, out, scratch)
+        begin, end = np.zeros((2, *out.shape[:2]), np.int32)
+        begin[y, x], end[y, x] = sample, sample + 1
+        work = np.array([[x, y, x + 1, y + 1, split]])
+        estimator.driver(scene, *inputs, key, work, out, scratch._replace(begin=begin, end=end))
         pickle.dump((recorder.events, out[y, x]), answers)
         answers.flush()
 

@@ -112,22 +112,24 @@ class _Recorded(Engine):
                 event["object"] = self._objects[event["object"]]
         return events, radiance
 
-    def _run(
+    def _add(
         self,
         driver: Callable[..., None],
         inputs: tuple,
         key: np.uint64,
         work: np.ndarray,
+        begin: np.ndarray,
+        end: np.ndarray,
         out: np.ndarray,
         seen: Seen,
         cancel: threading.Event | None,
     ) -> None:
-        ((x, y, x1, y1, first, last, split),) = work.tolist()
+        ((x, y, _, _, split),) = work.tolist()
         given: tuple | None = inputs
-        for index in range(first, last):
-            one, alone = np.array([[x, y, x1, y1, index, index + 1, split]]), np.zeros_like(out)
-            super()._run(driver, inputs, key, one, alone, seen, cancel)
-            super()._run(driver, inputs, key, one, out, seen, cancel)
+        for index in range(begin[y, x], end[y, x]):
+            alone, one = np.zeros_like(out), (np.full_like(begin, index), np.full_like(end, index + 1))
+            super()._add(driver, inputs, key, work, *one, alone, seen, cancel)
+            super()._add(driver, inputs, key, work, *one, out, seen, cancel)
             events, traced = self._trace((given, key, x, y, index, split))
             given = None
             self.samples.append(Sample(index, events, alone[y, x], _ulp(traced, alone[y, x])))

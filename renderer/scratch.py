@@ -43,6 +43,7 @@ def new_seen(height: int, width: int, hits: int) -> Seen:
 
 SEEN_BYTES = 4 + 5 * 8  # of a primary hit
 NOTHING_SEEN = new_seen(0, 0, 0)
+NO_SAMPLES = np.zeros((0, 0), np.int32)
 
 
 @by_reference
@@ -98,6 +99,7 @@ class Scratch(NamedTuple):
     u, v : (64,) float64 each, points of the unit square: of the camera rays, then of what leaves their hits.
     samples : points that ask for light.
     lanes : (4, 8) float64 scratch of `photon_density`.
+    begin, end : (H, W) int32 each, the samples [begin, end) of each pixel that are taken; all threads share them.
     seen : the primary hits that are kept, which all threads share.
     """
 
@@ -121,6 +123,8 @@ class Scratch(NamedTuple):
     v: np.ndarray
     samples: LightSamples
     lanes: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
     seen: Seen
 
 
@@ -151,5 +155,7 @@ def new_scratch() -> Scratch:
         _zeros(SIZE),
         _new_light_samples(),
         _zeros((4, 8)),
+        NO_SAMPLES,
+        NO_SAMPLES,
         NOTHING_SEEN,
     )

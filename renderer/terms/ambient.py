@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import most_of, next_hits, no_hits, resolve_occlusion, samples_of
+from termwise.renderer.film import next_hits, no_hits, resolve_occlusion, samples_of
 from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sampled_side, sees_all_ambient, side_of, whole_color
@@ -185,10 +185,11 @@ def _occlusion(
             surface = surface_of(scene, scratch.primary, i)
             if surface.face >= 0:
                 radiance, asks = ambient_light(scene, rule, surface, shadowed(scene, surface, scratch))
-                begin, end = samples_of(scratch.index[i], hits.split, hits.first, hits.last)
+                x, y = scratch.x[i], scratch.y[i]
+                begin, end = samples_of(scratch.index[i], hits.split, scratch.begin[y, x], scratch.end[y, x])
                 for sample in range(begin, end):
-                    scratch.column[waiting] = scratch.x[i]
-                    scratch.row[waiting] = scratch.y[i]
+                    scratch.column[waiting] = x
+                    scratch.row[waiting] = y
                     if asks:
                         # Its direction is the normal until `_draw_directions` has drawn one.
                         put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
@@ -200,7 +201,7 @@ def _occlusion(
                     put(scratch.radiance, waiting, radiance)
                     put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
                     waiting += 1
-            if waiting + most_of(hits.last, hits.split) > SIZE or (hits.ends_tile and i + 1 == hits.count):
+            if waiting + hits.split > SIZE or (hits.ends_tile and i + 1 == hits.count):
                 _draw_directions(scene, rule, asking, scratch)
                 resolve_occlusion(scene, waiting, asking, ambient_reach(scene, rule), False, out, scratch)
                 waiting = 0

@@ -57,5 +57,6 @@ VARIANTS = (
         converges_to=r"L_{\text{sky}},\ L_e",
         source="the paper's sky; lights drawn as an option",
         measured=True,
+        by_contrast=True,
     ),
 )

@@ -641,6 +641,7 @@ VARIANTS = (
         source="light sampling for the first hit; progressive photon mapping (Knaus, Zwicker, TOG 2011) for the rest",
         measured=True,
         samples_lights=True,
+        by_contrast=True,
         several_lights=True,
         inputs=lambda scene, chain, photons: (photons,),
         photons=lambda scene, chain: "scattered" if scene.scope == "all" else None,

@@ -61,6 +61,7 @@ class Variant:
     samples_lights : whether it sends shadow rays to points of the lights.
     dielectrics : whether it has a rule for surfaces that reflect as dielectrics do.
     by_direction : whether it draws directions by no lobe: one that is narrow it hardly ever meets.
+    by_contrast : whether the contrast between pixels' corners says how many samples each gets, where it has no maps.
     several_lights : whether `arrays.light_samples` of them stand beside one estimate by photons.
     no_maps : of the direct term, why it has no photon maps where it has none.
     """
@@ -88,6 +89,7 @@ class Variant:
     samples_lights: bool = False
     dielectrics: bool = True
     by_direction: bool = False
+    by_contrast: bool = False
     several_lights: bool = False
     no_maps: str = "first hits need none"
 

@@ -251,6 +251,7 @@ def _ours(
     """One run of ours; its finest image goes to `images`."""
     samples, square, seconds = [], [], []
     for number in powers_of_two(count):
+        engine.contrasts.clear()  # what an earlier run has found is paid for again
         ((_, image, spent),) = engine.prefixes(
             case.variant, samples=number, seed=_SEED, replicate=run, chain=case.chain, counts=(number,)
         )

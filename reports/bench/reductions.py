@@ -19,25 +19,26 @@ from termwise.renderer.terms import Chain
 from termwise.reports.bench.common import known, machine, positive, spread
 from termwise.reports.statistics import accumulation, rule
 from termwise.scenes.load import load
-from termwise.scenes.model import Scene
+from termwise.scenes.model import Scene, Scope
 
 SCENES = ("two_cubes", "cornell_box", "cornell_box_unshadowed", "monkey")
-ADAPTIVE = "adaptive"
-NAMES = (*REDUCTIONS, ADAPTIVE)
+NAMES = tuple(REDUCTIONS)
 RESOLUTION = 48
 BATCHES = 4
 _REPLICATES = 8  # of a batch
 # Of each; photon maps are few, for each costs what many samples do.
 _SAMPLES, _MAPS = 32, 4
-_ESTIMATORS: tuple[tuple[str, str, Chain], ...] = (
-    ("ambient", "cosine", "path"),
-    ("direct", "next-event", "next-event"),
-    ("direct", "photon-map", "next-event"),
-    ("direct", "path", "path"),
-    ("specular", "vndf", "path"),
-    ("specular", "vndf", "next-event"),
-    ("specular", "paper", "path"),
-    ("background", "seen", "next-event"),
+# Term, variant, chain, and a scope that is not the scene's own.
+_ESTIMATORS: tuple[tuple[str, str, Chain, Scope | None], ...] = (
+    ("ambient", "cosine", "path", None),
+    ("direct", "next-event", "next-event", None),
+    ("direct", "next-event", "next-event", "first-hit"),
+    ("direct", "photon-map", "next-event", None),
+    ("direct", "path", "path", None),
+    ("specular", "vndf", "path", None),
+    ("specular", "vndf", "next-event", None),
+    ("specular", "paper", "path", None),
+    ("background", "seen", "next-event", None),
 )
 
 
@@ -54,6 +55,8 @@ class Case(NamedTuple):
         """The estimator, as a table calls it."""
         by_photons = needs_photons(self.scene, self.variant, self.chain) is not None
         kind = " (photons)" if by_photons and self.variant.term == "specular" else ""
+        if self.variant.term == "direct" and self.scene.scope == "first-hit":
+            kind = " (first hits)"
         return f"{self.variant.name}{kind}"
 
 
@@ -106,9 +109,12 @@ def measure(
 def cases(scenes: tuple[str, ...], reductions: tuple[str, ...], resolution: int) -> Iterator[Case]:
     """Reductions with the estimators that they serve in each scene."""
     for name in scenes:
-        scene = attrs.evolve(load(name), resolution=(resolution, resolution))
+        whole = attrs.evolve(load(name), resolution=(resolution, resolution))
         for reduction in reductions:
-            for term, estimator, chain in _ESTIMATORS:
+            for term, estimator, chain, scope in _ESTIMATORS:
+                if scope == whole.scope:
+                    continue
+                scene = attrs.evolve(whole, scope=scope or whole.scope)
                 variant = find(term, estimator)
                 by_photons = needs_photons(scene, variant, chain) is not None
                 if skipped(scene, variant.term) or variant.limit(scene, 1).scope not in (None, scene.scope):
@@ -116,11 +122,7 @@ def cases(scenes: tuple[str, ...], reductions: tuple[str, ...], resolution: int)
                 # A chain without photons is the same by either name.
                 if term == "specular" and chain == "next-event" and not by_photons:
                     continue
-                if reduction == ADAPTIVE:
-                    serves = not by_photons
-                else:
-                    serves = REDUCTIONS[reduction].reason(scene, variant, chain) is not None
-                if serves:
+                if REDUCTIONS[reduction].reason(scene, variant, chain) is not None:
                     yield Case(scene, reduction, variant, chain)
 
 
@@ -128,13 +130,11 @@ def _measure(case: Case, batches: int, threads: int) -> tuple[dict[str, Any], ac
     """A row but for its verdict, and what decides that."""
     by_photons = needs_photons(case.scene, case.variant, case.chain) is not None
     samples = _MAPS if by_photons else _SAMPLES
-    adaptive = case.reduction == ADAPTIVE
-    without = () if adaptive else (case.reduction,)
     images: tuple[list[np.ndarray], list[np.ndarray]] = [], []
     variance, seconds = np.zeros((2, batches, 2))
     with (
-        Engine(case.scene, threads=threads, adaptive=adaptive) as economical,
-        Engine(case.scene, threads=threads, without=without) as plain,
+        Engine(case.scene, threads=threads) as economical,
+        Engine(case.scene, threads=threads, without=(case.reduction,)) as plain,
     ):
         engines = economical, plain
         for engine in engines:
@@ -163,5 +163,6 @@ def _measure(case: Case, batches: int, threads: int) -> tuple[dict[str, Any], ac
 
 
 def _render(engine: Engine, case: Case, samples: int, replicate: int, seed: int) -> np.ndarray:
+    engine.contrasts.clear()  # each replicate pays for all that it takes
     *_, (_, image, _) = engine.prefixes(case.variant, samples=samples, seed=seed, replicate=replicate, chain=case.chain)
     return image

@@ -195,7 +195,7 @@ def reductions(
     Parameters
     ----------
     reduction
-        aimed, lights, splitting, roulette, adaptive; all if none.
+        aimed, counts, lights, splitting, roulette; all if none.
     batches
         Of 8 replicates each way; the median of their ratios counts.
     """

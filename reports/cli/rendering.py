@@ -41,7 +41,6 @@ def render(
     threads: Threads = None,
     resolution: Resolution = None,
     diffuse: Flag = False,
-    adaptive: bool = False,
     approximate: Approximate = False,
     engine: OneEngine = None,
     out: Path = Path("out"),
@@ -62,9 +61,6 @@ def render(
         Independent repetitions that are averaged; two or more give a variance.
     seed
         Equal seeds give equal bits.
-    adaptive
-        Give noisier tiles more samples, as a discarded pilot of 8 says; SAMPLES is then the mean. For estimators
-        without photon maps; it pays from about 100 samples on.
     out
         Files go to OUT/render.
     """
@@ -73,8 +69,8 @@ def render(
     terminal.check_seed(seed)
     folder = terminal.folder(out / "render")
     if engine is not None:
-        if term is not None or variant or adaptive:
-            raise ValueError("engine: allowed without --term, --variant and --adaptive: an engine renders all light")
+        if term is not None or variant:
+            raise ValueError("engine: allowed without --term and --variant: an engine renders all light")
         from termwise.reports.judging.engines import engine as other
 
         found = other(engine).render(described, samples=samples, replicates=replicates, seed=seed, threads=threads)
@@ -93,11 +89,10 @@ def render(
             replicates=replicates,
             seed=seed,
             threads=threads,
-            adaptive=adaptive,
             report=stage("Samples of all terms"),
         )
     settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": " ".join(variant or ["default"])}
-    return _write_images(described, found, folder, settings | {"adaptive": adaptive}, json_)
+    return _write_images(described, found, folder, settings, json_)
 
 
 def _variant(term: str, given: list[str]) -> dict[str, str | None]:

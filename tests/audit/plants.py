@@ -82,7 +82,7 @@ CONSTANT_SKY = Case("monkey", "background", "seen", samples=32)
 PANORAMA = Case("panorama two_cubes", "background", "seen", samples=32)
 FLAT = Case("two_cubes", "background", "seen", samples=32, side=48, height=24)
 OUTSIDE = Case("two_cubes", "direct", "path", samples=64)
-ADAPTIVE = Case("two_cubes", "direct", "path", samples=32, side=64, adaptive=True)
+COUNTED = Case("cornell_box", "direct", "next-event", samples=32)
 LAMPS = Case("lamps two_cubes", "direct", "path", samples=64)
 AIMED = Case("monkey", "direct", "photon-map", samples=16)
 SHARP = Case("sharp cornell_box_unshadowed", "direct", "photon-map", samples=16)
@@ -530,20 +530,20 @@ PLANTS = (
         "elif self._seen_key != key:\n            self._seen.known[:] = 0",
         "elif self._seen_key != key:\n            pass",
     ),
-    # Adaptive counts.
+    # Counts by contrast.
     Plant(
-        "adaptive: sums divided by the mean count",
-        ADAPTIVE,
+        "counts: sums divided by the mean count",
+        COUNTED,
         _TILES,
-        "taken[y0:y1, x0:x1] = last",
-        "taken[y0:y1, x0:x1] = count",
+        "yield count, out / taken.astype(np.float64)[:, :, None], seconds",
+        "yield count, out / count, seconds",
     ),
     Plant(
-        "adaptive: no sample where the pilot saw no noise",
-        ADAPTIVE,
+        "counts: a run goes on where even ones would",
+        COUNTED,
         _TILES,
-        "end = np.maximum(1, np.floor(last * share)).astype(int)",
-        "end = np.floor(last * share).astype(int)",
+        "taken, done = asked, last",
+        "taken, done = np.full_like(asked, last), last",
     ),
     # Aimed photons, and what they land in.
     Plant(

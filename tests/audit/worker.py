@@ -200,7 +200,6 @@ class Case:
     term, variant, samples : the estimator, and its samples a pixel in each replicate.
     side : pixels of an edge of the image.
     height : of the image; `side` without.
-    adaptive : whether a pilot decides the counts.
     after : a variant of the term that the same engine renders first, with room for what both may share.
     """
 
@@ -210,7 +209,6 @@ class Case:
     samples: int
     side: int = 32
     height: int | None = None
-    adaptive: bool = False
     after: str = ""
 
     def build(self) -> Scene:
@@ -230,7 +228,7 @@ class Case:
     def __str__(self) -> str:
         """As tables name it."""
         size = f"{self.side} × {self.height}" if self.height else f"{self.side}"
-        how = [f"{size} px", *(["adaptive"] if self.adaptive else []), *([f"after {self.after}"] if self.after else [])]
+        how = [f"{size} px", *([f"after {self.after}"] if self.after else [])]
         return f"{self.term} {self.variant}, {self.scene}, {', '.join(how)}"
 
 
@@ -238,7 +236,7 @@ def replicates(case: Case, count: int, seed: int) -> np.ndarray:
     """(count, H, W, 3) float32."""
     images = []
     kept = _KEPT_BYTES if case.after else 0
-    with Engine(case.build(), threads=1, adaptive=case.adaptive, kept_bytes=kept) as engine:
+    with Engine(case.build(), threads=1, kept_bytes=kept) as engine:
         for k in range(count):
             for variant in (case.after, case.variant) if case.after else (case.variant,):
                 *_, (_, image, _) = engine.prefixes(

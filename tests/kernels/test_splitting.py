@@ -5,12 +5,12 @@ import pytest
 
 from termwise.renderer import Engine, find
 from termwise.renderer.arrays import LIGHT_SAMPLES, light_samples
-from termwise.renderer.film import ALONE, most_of, primary_hits_of, samples_of
+from termwise.renderer.film import ALONE, primary_hits_of, samples_of
 from termwise.renderer.plan import camera_rays
 from termwise.renderer.terms.ambient import SPLIT
 from termwise.scenes.load import load
 from termwise.scenes.model import Scene
-from tests.kernels.test_adaptive import assert_same_mean, tile_means
+from tests.kernels.test_counts import assert_same_mean, tile_means
 from tests.scenes import small
 
 BOX = small("cornell_box", 8, 6)
@@ -28,7 +28,7 @@ def test_sights_share_out_all_samples(split):
             assert [sample for part in parts for sample in part] == list(range(first, last))
             assert all(len(part) == 1 for part in parts if part.start < ALONE)
             assert all(len(part) == split for part in parts[1:-1] if part.start >= ALONE)
-            assert all(1 <= len(part) <= most_of(last, split) for part in parts)
+            assert all(1 <= len(part) <= split for part in parts)
 
 
 def test_camera_rays_are_shared():

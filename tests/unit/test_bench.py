@@ -112,7 +112,7 @@ def test_spread_is_median_and_ends():
         (["scaling", "--threads", "-2"], ["threads = -2", "at least 1"]),
         (
             ["reductions", "--reduction", "thrift"],
-            ["reduction = 'thrift'", "aimed, lights, splitting, roulette, adaptive"],
+            ["reduction = 'thrift'", "aimed, counts, lights, splitting, roulette"],
         ),
         (["reductions", "--scene", "teapot"], ["scene = 'teapot'", "two_cubes", "monkey"]),
         (["reductions", "--batches", "0"], ["batches = 0", "at least 1"]),
@@ -167,10 +167,10 @@ def test_a_tiny_run_of_reductions_says_all(compiled):
     found = reductions.measure(scenes=("monkey", "cornell_box"), resolution=4, batches=2)
     rows = found["cases"]
     assert {row["reduction"] for row in rows if row["scene"] == "monkey"} == {
-        *("aimed", "splitting", "roulette", "adaptive")
+        *("aimed", "counts", "splitting", "roulette")
     }
     # The box hides its light from nothing: no photon of it misses the scene.
-    assert {row["reduction"] for row in rows if row["scene"] == "cornell_box"} == {"splitting", "roulette", "adaptive"}
+    assert {row["reduction"] for row in rows if row["scene"] == "cornell_box"} == {"counts", "splitting", "roulette"}
     names = [tuple(row[name] for name in ("scene", "reduction", "term", "variant")) for row in rows]
     assert len(set(names)) == len(names)
     for row in rows:
