@@ -15,7 +15,7 @@ import numpy as np
 
 from termwise.renderer import photon_map, photon_tracing
 from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays, from_scene, most_survival
-from termwise.renderer.counts import LEAST, Contrast, contrast, corner_camera, corners_of, counts
+from termwise.renderer.counts import AT_CORNERS, LEAST, Contrast, contrast, corner_camera, corners_of, counts, scatter
 from termwise.renderer.film import ALONE, GeometryImages, Tile, trace_centres
 from termwise.renderer.jit import warm
 from termwise.renderer.plan import (
@@ -278,7 +278,7 @@ class Engine:
         return each
 
     def _contrast(self, task: _Task, cancel: threading.Event | None) -> Contrast | None:
-        """How much pixels vary, by one sample at each of their corners: the same for all replicates."""
+        """How much pixels vary, by samples at their corners: the same for all replicates."""
         width, height = self.scene.resolution
         term = task.variant.term
         wanted = may_see(self.scene, term)
@@ -288,8 +288,8 @@ class Engine:
         inputs = task.variant.inputs(self.scene, task.chain, photon_map.empty())
         work = _work(self._tiles(corners_of(wanted)), 1)
         image = np.zeros((height + 1, width + 1, 3))
-        none, one = np.zeros(image.shape[:2], np.int32), np.ones(image.shape[:2], np.int32)
-        self._run(arrays, task.driver, inputs, _CORNERS, work, none, one, image, NOTHING_SEEN, cancel)
+        first, last = (np.full(image.shape[:2], each, np.int32) for each in (0, AT_CORNERS))
+        self._run(arrays, task.driver, inputs, _CORNERS, work, first, last, image, NOTHING_SEEN, cancel)
         return contrast(image, wanted)
 
     def _add_beyond(self, term: Term, out: np.ndarray, samples: int) -> None:
@@ -398,6 +398,8 @@ class Engine:
         photons = self._photons(task, key, 0, 1, new_scratch) if task.stored else photon_map.empty()
         inputs = task.variant.inputs(self.scene, task.chain, photons)
         warm(task.driver, self.arrays, *inputs, key, np.zeros((0, 5), np.int64), out, self._scratch())
+        if by_contrast(self.scene, task.variant, task.chain):
+            warm(scatter, out, out[:, :, 0] > 0.0, *np.empty((2, 0, 0)))
         self._warmed.add(task)
         self.compile_seconds += time.perf_counter() - start
 

@@ -338,7 +338,7 @@ def by_contrast(scene: Scene, variant: Variant, chain: Chain) -> bool:
 def _counts(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     if not by_contrast(scene, variant, chain) or skipped(scene, variant.term):
         return None
-    return "beyond 4 samples, one at each corner of a pixel says how much it varies: N / 4 to 8 N"
+    return f"beyond {ALONE} samples, two at each corner of a pixel say how much it varies: N / 4 to 16 N"
 
 
 REDUCTIONS: dict[str, Reduction] = {
