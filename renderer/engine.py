@@ -226,6 +226,22 @@ class Engine:
         )
         yield from variant.estimator.prefixes(self, variant, request)
 
+    def shares(self, variant: Variant, *, samples: int, chain: Chain = "next-event") -> np.ndarray:
+        """How many of `samples` of the mean pixel each pixel gets, (H, W) int32, for any seed; see `renderer.counts`.
+
+        Raises
+        ------
+        ValueError : `samples` below 1, or an option that the variant would ignore.
+        """
+        samples = whole("samples", samples)
+        check(self.scene, variant, chain=chain)
+        width, height = self.scene.resolution
+        if not (isinstance(variant.estimator, Compiled) and self._counts_by_contrast(variant, chain, samples)):
+            return np.full((height, width), samples, np.int32)
+        task = _Task(variant, variant.estimator.driver, chain, None)
+        self._warm(task, _CORNERS, np.zeros((height, width, 3)))
+        return self._counts(task, samples, None)
+
     def summed(self, variant: Variant, driver: Callable[..., None], request: Request) -> Iterator[Prefix]:
         """The prefixes of a kernel's sums; see `prefixes`."""
         chain, cancel = request.chain, request.cancel
@@ -269,13 +285,17 @@ class Engine:
         """How many of a run's first samples are each pixel's, (H, W) int32: what all prefixes agree upon."""
         width, height = self.scene.resolution
         each = np.full((height, width), samples, np.int32)
-        if samples <= LEAST or "counts" in self.without or not by_contrast(self.scene, task.variant, task.chain):
+        if not self._counts_by_contrast(task.variant, task.chain, samples):
             return each
         if task not in self.contrasts:
             self.contrasts[task] = self._contrast(task, cancel)
         if (found := self.contrasts[task]) is not None:
             each[found.wanted] = counts(found, samples)
         return each
+
+    def _counts_by_contrast(self, variant: Variant, chain: Chain, samples: int) -> bool:
+        decided = samples > LEAST and "counts" not in self.without and by_contrast(self.scene, variant, chain)
+        return decided and skipped(self.scene, variant.term) is None
 
     def _contrast(self, task: _Task, cancel: threading.Event | None) -> Contrast | None:
         """How much pixels vary, by samples at their corners: the same for all replicates."""

@@ -3,9 +3,10 @@
 import itertools
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import attrs
+import numpy as np
 from cyclopts import Parameter
 from rich.table import Table
 
@@ -27,7 +28,12 @@ from termwise.reports.cli.terminal import (
 )
 from termwise.scenes.exchange import neutral
 from termwise.scenes.load import library, load
+from termwise.scenes.model import Scene
 from termwise.scenes.terms import TERMS
+
+if TYPE_CHECKING:
+    from termwise.renderer import Engine
+    from termwise.renderer.plan import Step
 
 
 def render(
@@ -225,6 +231,7 @@ def plan(
     scene: SceneName,
     *,
     samples: Integer = 16,
+    counted: Flag = False,
     resolution: Resolution = None,
     approximate: Approximate = False,
     json_: Json = False,
@@ -235,6 +242,8 @@ def plan(
     ----------
     samples
         Samples per pixel, for the counts of work.
+    counted
+        Sample the corners of the pixels, and say how many get how many samples; kernels are compiled for it.
     """
     from termwise.renderer.plan import plan as steps_of
     from termwise.renderer.terms import find
@@ -243,6 +252,8 @@ def plan(
         raise ValueError(f"samples = {samples}: allowed is at least 1")
     described = terminal.scene(scene, resolution, approximate=approximate)
     steps = steps_of(described, {term: find(term) for term in TERMS}, samples=samples, together=True)
+    if counted:
+        steps = _counted(described, steps, samples)
     if json_:
         found = [attrs.asdict(step) for step in steps]
         terminal.say_json({"scene": scene, "samples": samples, "steps": found})
@@ -262,6 +273,23 @@ def plan(
         before = step.term
     terminal.output.print(table)
     return 0
+
+
+def _counted(scene: Scene, steps: "tuple[Step, ...]", samples: int) -> "tuple[Step, ...]":
+    """The steps, those whose counts go by contrast with the pixels of each count."""
+    from termwise.renderer import Engine, find
+    from termwise.renderer.plan import REDUCTIONS
+
+    def told(engine: "Engine", step: "Step") -> "Step":
+        if step.work != REDUCTIONS["counts"].work:
+            return step
+        each, pixels = np.unique(engine.shares(find(step.term), samples=samples), return_counts=True)
+        of_each = ", ".join(f"{many} get {count}" for count, many in zip(each, pixels, strict=True))
+        mean = each @ pixels / pixels.sum()
+        return attrs.evolve(step, reason=f"{step.reason}; of {pixels.sum()} pixels {of_each}, the mean {mean:.1f}")
+
+    with Engine(scene) as engine:
+        return tuple(told(engine, step) for step in steps)
 
 
 def scenes(*, json_: Json = False) -> int:

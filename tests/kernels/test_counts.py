@@ -16,9 +16,11 @@ from termwise.renderer import Engine, find, render_terms
 from termwise.renderer.arrays import from_scene
 from termwise.renderer.camera import direction_through
 from termwise.renderer.counts import LEAST, Contrast, contrast, corner_camera, corners_of, counts
+from termwise.renderer.plan import REDUCTIONS, plan
 from termwise.renderer.replay import replay
 from termwise.scenes.analytic import plate
 from termwise.scenes.model import Camera, Material, PointLight, Scene
+from termwise.scenes.terms import TERMS
 from tests.scenes import small
 
 DIRECT, BACKGROUND = find("direct", "next-event"), find("background", "seen")
@@ -139,6 +141,21 @@ def test_the_same_for_all_seeds_and_no_more_than_asked():
             spent.append(engine.counts["rays"] - before)
     assert spent[1] == spent[2] == spent[0] - 17 * 13
     assert 0.9 * 16 * 16 * 12 < spent[1] <= 16 * 16 * 12
+
+
+def test_shares_are_those_that_are_taken():
+    """Of one term by contrast, of another even; the plan says so of the first alone."""
+    scene = first_hits("cornell_box", 16, 12)
+    with Engine(scene, threads=2) as engine:
+        each = engine.shares(DIRECT, samples=16)
+        before = engine.counts["rays"]
+        *_, _ = engine.prefixes(DIRECT, samples=16, seed=1, replicate=0)
+        assert engine.counts["rays"] - before == each.sum()
+        assert each.min() < 16 < each.max()
+        for variant, samples in ((DIRECT, 4), (find("ambient"), 16), (BACKGROUND, 16)):
+            np.testing.assert_array_equal(engine.shares(variant, samples=samples), samples)
+    steps = plan(scene, {term: find(term) for term in TERMS}, samples=16)
+    assert [step.term for step in steps if step.work == REDUCTIONS["counts"].work] == ["direct"]
 
 
 def test_terms_together_have_the_bits_of_each_alone(compiled):
