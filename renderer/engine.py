@@ -258,7 +258,7 @@ class Engine:
         per_map = _CHAINS_A_MAP if chain == "paper" and TABLE[variant.term].meets else 1
         tiles = self.tiles[variant.term]
         split = 1 if "splitting" in self.without else variant.split(self.scene)
-        taken = np.zeros((height, width), np.int32)
+        begin, taken = np.zeros((height, width), np.int32), np.ones((height, width, 1))
         done = 0
         self._warm(task, key, out)
         seconds = 0.0
@@ -272,14 +272,15 @@ class Engine:
                     photons = self._shared(task, key, number, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
                 work = _work(tiles, split if last > ALONE else 1)
-                asked = self._counts(task, last, cancel)
+                end = self._counts(task, last, cancel)
                 seen = self._room_for_hits(key, request.samples)
-                self._add(driver, inputs, key, work, taken, asked, out, seen, cancel)
+                self._add(driver, inputs, key, work, begin, end, out, seen, cancel)
                 self._add_beyond(variant.term, out, last - first)
-                taken, done = asked, last
+                taken[:, :, 0] = end
+                begin, done = end, last
                 request.done(last)
             seconds += time.perf_counter() - start
-            yield count, out / taken.astype(np.float64)[:, :, None], seconds
+            yield count, out / taken, seconds
 
     def _counts(self, task: _Task, samples: int, cancel: threading.Event | None) -> np.ndarray:
         """How many of a run's first samples are each pixel's, (H, W) int32: what all prefixes agree upon."""

@@ -496,18 +496,14 @@ PLANTS = (
     ),
     # Prefixes and passes.
     Plant(
-        "prefixes: each begins with the first sample again",
-        DIRECT,
-        _TILES,
-        "            done = count\n            seconds +=",
-        "            seconds +=",
+        "prefixes: each begins with the first sample again", DIRECT, _TILES, "begin, done = end, last", "done = last"
     ),
     Plant(
         "prefixes: the last sample of each taken twice",
         DIRECT,
         _TILES,
-        "np.maximum(1, np.floor(first * share)), 0)",
-        "np.maximum(1, np.floor(first * share)) - 1, 0)",
+        "self._add(driver, inputs, key, work, begin, end,",
+        "self._add(driver, inputs, key, work, np.maximum(begin - 1, 0).astype(np.int32), end,",
     ),
     Plant(
         "passes: the radius taken for a diameter",
@@ -531,19 +527,13 @@ PLANTS = (
         "elif self._seen_key != key:\n            pass",
     ),
     # Counts by contrast.
-    Plant(
-        "counts: sums divided by the mean count",
-        COUNTED,
-        _TILES,
-        "yield count, out / taken.astype(np.float64)[:, :, None], seconds",
-        "yield count, out / count, seconds",
-    ),
+    Plant("counts: sums divided by the mean count", COUNTED, _TILES, _OUT, "yield count, out / count, seconds"),
     Plant(
         "counts: a run goes on where even ones would",
         COUNTED,
         _TILES,
-        "taken, done = asked, last",
-        "taken, done = np.full_like(asked, last), last",
+        "begin, done = end, last",
+        "begin, done = np.full_like(end, last), last",
     ),
     # Aimed photons, and what they land in.
     Plant(
