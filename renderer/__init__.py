@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from termwise.renderer.auto import chosen
 from termwise.renderer.engine import Engine
 from termwise.renderer.photon_map import KEPT_BYTES
 from termwise.renderer.terms import DEFAULTS, VARIANTS, Chain, Variant, find
@@ -17,7 +18,7 @@ from termwise.scenes.load import load
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TermImage
 
-__all__ = ["DEFAULTS", "VARIANTS", "Engine", "Variant", "find", "render", "render_terms"]
+__all__ = ["DEFAULTS", "VARIANTS", "Engine", "Variant", "chosen", "find", "render", "render_terms"]
 
 
 def render(
@@ -38,7 +39,8 @@ def render(
     ----------
     scene : a scene, the name of one of the library, or the path of a scene file.
     term : one of `scenes.terms.TERMS`: "ambient", "direct", "specular", "transmission" or "background".
-    variant : the estimator; the term's default without a name.
+    variant : the estimator; the term's default without a name, which of direct is "auto": of all bounces by paths or by
+        photons, as the scene is (`chosen` says which, and why).
     samples : samples per pixel and replicate, of the mean pixel where contrast decides (`renderer.counts`); powers of
         two keep the points well spread.
     replicates : independent repetitions; 2 or more give a variance, and `judge` takes 4 or more.
@@ -93,11 +95,12 @@ def render_terms(
     report : called with (what runs, samples done, samples of all terms and replicates), first before a term compiles.
     """
     samples, replicates, seed = whole("samples", samples), whole("replicates", replicates), seed_of(seed)
-    estimators = {term: find(term, variant) for term, variant in variants.items()}
+    total, before = samples * replicates * len(variants), 0
+    report("choice of estimators, compiling", before, total)
+    estimators = {term: chosen(scene, term, variant) for term, variant in variants.items()}
     images: dict[str, list[np.ndarray]] = {term: [] for term in variants}
     seconds = dict.fromkeys(variants, 0.0)
     kept = KEPT_BYTES if len(variants) > 1 else 0
-    total, before = samples * replicates * len(estimators), 0
     with Engine(scene, threads=threads, kept_bytes=kept) as engine:
         for replicate in range(replicates):
             for term, estimator in estimators.items():

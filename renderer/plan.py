@@ -464,7 +464,8 @@ def _steps(scene: Scene, variant: Variant, chain: Chain, samples: int, without: 
     kernel = f"kernel {variant.estimator.name} ({variant.name})"
     if "term" in applied:
         return [Step(term, kernel, "skip", applied["term"], {"rays": hits * pixels}, at_most=False)]
-    steps = [Step(term, kernel, "runs", "the scene has this term")]
+    why = f"auto: {variant.chosen}" if variant.chosen else "the scene has this term"
+    steps = [Step(term, kernel, "runs", why)]
     outside = hits * int(np.count_nonzero(~may_see(scene, term)))
 
     def skip(name: str, work: str, *, at_most: bool = False, **saved: int) -> None:

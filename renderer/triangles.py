@@ -1,5 +1,6 @@
 """Triangles of all objects in one list; a point on one is `x = (1 - b1 - b2) v0 + b1 v1 + b2 v2`."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from termwise.renderer.jit import device
 from termwise.renderer.spheres import Spheres
 from termwise.renderer.spheres import from_scene as spheres_of
 from termwise.renderer.vector import Vec3, normalize, vec3
-from termwise.scenes.model import Scene
+from termwise.scenes.model import Mesh, Scene
 
 
 @by_reference
@@ -43,7 +44,7 @@ class Geometry(NamedTuple):
 
 def from_scene(scene: Scene) -> Geometry:
     """The triangles of a scene and their tree, and its spheres."""
-    geometry = _triangles(scene)
+    geometry = _triangles(tuple(thing.mesh for thing in scene.objects))
     spheres = spheres_of(scene, len(geometry.corners))
     if spheres is None:
         return geometry
@@ -57,10 +58,11 @@ def from_scene(scene: Scene) -> Geometry:
     )
 
 
-def _triangles(scene: Scene) -> Geometry:
+@functools.lru_cache(maxsize=1)
+def _triangles(meshes: tuple[Mesh, ...]) -> Geometry:
+    """Those of the meshes; the last ones are kept, for a scene is looked at before it is rendered, then anew relit."""
     corners, shading, smooth, owner = [], [], [], []
-    for index, thing in enumerate(scene.objects):
-        mesh = thing.mesh
+    for index, mesh in enumerate(meshes):
         corners.append(mesh.vertices[mesh.faces])
         is_smooth = mesh.normals is not None
         shading.append(mesh.normals[mesh.faces] if mesh.normals is not None else np.zeros_like(corners[-1]))

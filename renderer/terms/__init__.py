@@ -1,4 +1,7 @@
-"""The summands of L_o: one file each, its variants in one table; the first of each table is the default."""
+"""The summands of L_o: one file each, its variants in one table; the first of each table is the default.
+
+But of direct, whose default is `auto`: the one of its variants that `renderer.auto` takes in a scene.
+"""
 
 import importlib
 import re
@@ -15,20 +18,33 @@ VARIANTS: dict[Term, dict[str, Variant]] = {
     term: {variant.name: variant for variant in importlib.import_module(f"{__name__}.{term}").VARIANTS}
     for term in TERMS
 }
+AUTO = "auto"
+"""What names the better of direct's right variants in a scene."""
 DEFAULTS: dict[Term, str] = {term: next(iter(VARIANTS[term])) for term in TERMS}
 
-__all__ = ["DEFAULTS", "VARIANTS", "Chain", "Variant", "find", "register", "registered"]
+__all__ = [
+    "AUTO", "DEFAULTS", "VARIANTS", "Chain", "Variant", "find", "names", "register", "registered",
+]  # fmt: skip
 
 
 def find(term: str, name: str | None = None) -> Variant:
-    """The variant `name` of a term, the default one without a name; a ValueError lists those that exist."""
+    """The variant `name` of a term, the first of its table without a name; a ValueError lists those that exist."""
+    _known(term)
+    name = DEFAULTS[term] if name is None else name
+    if name not in VARIANTS[term]:
+        raise ValueError(f"variant = {name!r} of {term}: allowed are {', '.join(VARIANTS[term])}")
+    return VARIANTS[term][name]
+
+
+def names(term: str) -> tuple[str, ...]:
+    """What a variant of a term can be named by, the default first."""
+    _known(term)
+    return (AUTO, *VARIANTS[term]) if term == "direct" else tuple(VARIANTS[term])
+
+
+def _known(term: str) -> None:
     if term not in VARIANTS:
         raise ValueError(f"term = {term!r}: allowed are {', '.join(TERMS)}")
-    table = VARIANTS[term]
-    name = DEFAULTS[term] if name is None else name
-    if name not in table:
-        raise ValueError(f"variant = {name!r} of {term}: allowed are {', '.join(table)}")
-    return table[name]
 
 
 def register(
@@ -46,7 +62,7 @@ def register(
     Parameters
     ----------
     term : one of `scenes.terms.TERMS`.
-    name : lower-case words joined by hyphens; not one that the table has.
+    name : lower-case words joined by hyphens; not `auto`, nor one that the table has.
     function : (scene, samples, seed) -> image (H, W, 3), linear radiance of that term, its weights inside. Equal seeds
         give equal images, different ones independent images.
     limit : the integral that it is meant to converge to.
@@ -61,8 +77,8 @@ def register(
     ValueError : an unknown term, a name that exists or has other characters, a limit of another term.
     """
     table = VARIANTS[find(term).term]
-    if name in table:
-        raise ValueError(f"register: name = {name!r} of {term}: exists; taken are {', '.join(table)}")
+    if name in (AUTO, *table):
+        raise ValueError(f"register: name = {name!r} of {term}: exists; taken are {', '.join(names(term))}")
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
         raise ValueError(f"register: name = {name!r}: allowed are lower-case words joined by hyphens")
     if isinstance(limit, Limit) and limit.term != term:

@@ -64,6 +64,7 @@ class Variant:
     by_contrast : whether the contrast between pixels' corners says how many samples each gets, where it has no maps.
     several_lights : whether `arrays.light_samples` of them stand beside one estimate by photons.
     no_maps : of the direct term, why it has no photon maps where it has none.
+    chosen : where `auto` took it for a scene with all bounces, why: by which number (see `renderer.auto`).
     """
 
     name: str
@@ -92,6 +93,7 @@ class Variant:
     by_contrast: bool = False
     several_lights: bool = False
     no_maps: str = "first hits need none"
+    chosen: str = attrs.field(default="", eq=False)
 
     def by_nearest(self, scene: Scene, chain: Chain) -> bool:
         """Whether its maps are searched for the k nearest photons, whose mean depends on how many are emitted."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from termwise import reference
 from termwise.reference.backend import import_mitsuba
-from termwise.renderer import Engine, Variant, find
+from termwise.renderer import Engine, Variant, chosen, find
 from termwise.renderer.plan import powers_of_two
 from termwise.renderer.terms import Chain
 from termwise.reports.bench.common import BACKEND, known, machine, positive, spread
@@ -139,7 +139,10 @@ def measure(
 
 
 def cases(scenes: tuple[str, ...], terms: tuple[str, ...], resolution: int) -> Iterator[Case]:
-    """Our estimators that converge to the right integral, the product's defaults and unbiased ones."""
+    """Our estimators that converge to the right integral, the product's defaults and unbiased ones.
+
+    Of direct with all bounces the one that `auto` takes is labelled so.
+    """
     for name in scenes:
         scene = attrs.evolve(load(name), resolution=(resolution, resolution))
         for term in terms:
@@ -153,8 +156,10 @@ def cases(scenes: tuple[str, ...], terms: tuple[str, ...], resolution: int) -> I
                 variant = find("direct", "next-event")
                 yield Case(straight, "first-hit", variant, "path", variant.name, (variant, "path"))
                 scattered, path = attrs.evolve(scene, scope="all"), find("direct", "path")
+                taken = chosen(scattered, "direct").name
                 for each in (variant, path):
-                    yield Case(scattered, "all", each, "path", each.name, (path, "path"))
+                    label = f"{each.name} (auto)" if each.name == taken else each.name
+                    yield Case(scattered, "all", each, "path", label, (path, "path"))
             else:
                 variant = find(term)
                 for chain in ("next-event", "path") if scene.scope == "all" else ("path",):

@@ -144,7 +144,7 @@ def replay(
     term
         ambient, direct, specular, transmission or background.
     variant
-        An estimator of the term; its default if not given.
+        An estimator of the term; its default if not given, which of direct is the one that auto takes in the scene.
     x
         The pixel's column, from 0 at the left.
     y
@@ -160,17 +160,22 @@ def replay(
     results
         Folder of a run: the value is held against the one stored there. Exit status 1 where they differ.
     """
+    from termwise.renderer.auto import chosen
     from termwise.renderer.replay import replay as replayed
-    from termwise.renderer.terms import find
+    from termwise.renderer.terms import AUTO, find, names
     from termwise.reports.results import microscope
     from termwise.reports.statistics import sequential
     from termwise.reports.study import allotment, subjects
     from termwise.reports.study import study as studies
 
-    estimator = find(term, variant)
-    chosen = studies.load(study)
-    subject, count = subjects.named(chosen, scene, estimator, approximate=approximate)
-    most = chosen.replicates * sequential.LOOKS[-1] * (1 if chosen.half_width is None else allotment.MOST)
+    asked = studies.load(study)
+    name = names(term)[0] if variant is None else variant
+    # Which scene it is tells what `auto` takes there.
+    subject, count = subjects.named(asked, scene, find(term, None if name == AUTO else name), approximate=approximate)
+    estimator = chosen(subject.scene, term, name)
+    if name == AUTO:
+        subject, count = subjects.named(asked, scene, estimator, approximate=approximate)
+    most = asked.replicates * sequential.LOOKS[-1] * (1 if asked.half_width is None else allotment.MOST)
     if not 0 <= replicate < most:
         allowed = f"an integer in [0, {most - 1}], those that the study {study} may have"
         raise ValueError(f"replicate = {replicate}: allowed is {allowed}")
@@ -195,7 +200,7 @@ def replay(
         x=x,
         y=y,
         samples=count if samples is None else samples,
-        seed=chosen.seed if seed is None else seed,
+        seed=asked.seed if seed is None else seed,
         replicate=replicate,
         chain=subject.chain,
     )
@@ -206,6 +211,7 @@ def replay(
             "scene": subject.scene.name,
             "term": estimator.term,
             "variant": estimator.name,
+            "auto": estimator.chosen,
             "x": x,
             "y": y,
             "replicate": replicate,
@@ -217,6 +223,8 @@ def replay(
         }
         terminal.say_json(described)
     else:
+        if estimator.chosen:
+            terminal.say(f"{term} {estimator.name}: {estimator.chosen}")
         _print_replay(found)
         if same is not None:
             word = "equal to the bit" if same else f"NOT equal: {_numbers(stored)}; other sources, seed or samples?"

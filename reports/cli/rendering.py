@@ -58,7 +58,8 @@ def render(
     Parameters
     ----------
     variant
-        An estimator of the term, its default if not given. Without --term: TERM=NAME, once for each term.
+        An estimator of the term, its default if not given; of direct that is auto, of all bounces paths or photons, as
+        the scene is. Without --term: TERM=NAME, once for each term.
     samples
         Samples per pixel and replicate, powers of two are best; 16 if not given, of an engine what its file says.
     diffuse
@@ -97,7 +98,10 @@ def render(
             threads=threads,
             report=stage("Samples of all terms"),
         )
-    settings = {"samples": samples, "replicates": replicates, "seed": seed, "variant": " ".join(variant or ["default"])}
+    settings = {"samples": samples, "replicates": replicates, "seed": seed}
+    taken = {each: renderer.chosen(described, each, name) for each, name in variants.items()}
+    settings["variants"] = {each: found.name for each, found in taken.items()}
+    settings["auto"] = {each: found.chosen for each, found in taken.items() if found.chosen}
     return _write_images(described, found, folder, settings, json_)
 
 
@@ -245,13 +249,13 @@ def plan(
     counted
         Sample the corners of the pixels, and say how many get how many samples; kernels are compiled for it.
     """
+    from termwise.renderer.auto import chosen
     from termwise.renderer.plan import plan as steps_of
-    from termwise.renderer.terms import find
 
     if samples < 1:
         raise ValueError(f"samples = {samples}: allowed is at least 1")
     described = terminal.scene(scene, resolution, approximate=approximate)
-    steps = steps_of(described, {term: find(term) for term in TERMS}, samples=samples, together=True)
+    steps = steps_of(described, {term: chosen(described, term) for term in TERMS}, samples=samples, together=True)
     if counted:
         steps = _counted(described, steps, samples)
     if json_:
@@ -277,13 +281,13 @@ def plan(
 
 def _counted(scene: Scene, steps: "tuple[Step, ...]", samples: int) -> "tuple[Step, ...]":
     """The steps, those whose counts go by contrast with the pixels of each count."""
-    from termwise.renderer import Engine, find
+    from termwise.renderer import Engine, chosen
     from termwise.renderer.plan import REDUCTIONS
 
     def told(engine: "Engine", step: "Step") -> "Step":
         if step.work != REDUCTIONS["counts"].work:
             return step
-        each, pixels = np.unique(engine.shares(find(step.term), samples=samples), return_counts=True)
+        each, pixels = np.unique(engine.shares(chosen(scene, step.term), samples=samples), return_counts=True)
         of_each = ", ".join(f"{many} get {count}" for count, many in zip(each, pixels, strict=True))
         mean = each @ pixels / pixels.sum()
         return attrs.evolve(step, reason=f"{step.reason}; of {pixels.sum()} pixels {of_each}, the mean {mean:.1f}")

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import attrs
 
-from termwise.renderer.terms import VARIANTS
+from termwise.renderer.terms import names
 from termwise.reports.live.state import State, Steps
 from termwise.scenes.model import Ambient, Fresnel, Light, Photons, Scene, Sky
 from termwise.scenes.terms import TERMS
@@ -69,7 +69,7 @@ def groups(state: State) -> Iterator[tuple[str, list[Input]]]:
     yield (
         "Estimators",
         [
-            *(Input(("variants", term), term, "", "", choices=tuple(VARIANTS[term])) for term in TERMS),
+            *(Input(("variants", term), term, "", "", choices=names(term)) for term in TERMS),
             Input(("samples",), "samples", "max_samples", "per pixel, where refinement ends"),
             Input(("seed",), "seed", "", "equal seeds give equal bits"),
         ],

@@ -376,4 +376,4 @@ def _trim() -> None:
 def _kind(state: State, term: Term) -> tuple[Any, ...]:
     """Of a first sample: those of one kind take about as long."""
     scene = state.scene
-    return scene.name, term, state.variants[term], scene.resolution, scene.photons, scene.max_bounces
+    return scene.name, term, state.variant(term).name, scene.resolution, scene.photons, scene.max_bounces

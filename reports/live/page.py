@@ -630,7 +630,7 @@ def _terms_table(frame: Frame) -> str:
     rows = [
         (
             term,
-            frame.state.variants[term],
+            _variant(frame.state, term),
             str(view.samples),
             f"{view.seconds:.2f}",
             view.reason if view.status == "skipped" else view.status + (", kept from before" if view.reused else ""),
@@ -638,6 +638,12 @@ def _terms_table(frame: Frame) -> str:
         for term, view in frame.terms.items()
     ]
     return _table(("term", "variant", "samples", "seconds", ""), rows, "Terms")
+
+
+def _variant(state: State, term: Term) -> str:
+    """Name of a term's estimator, and where `auto` took it, that it did."""
+    name = state.variant(term).name
+    return name if state.variants[term] == name else f"{name}, by {state.variants[term]}"
 
 
 def _plan_table(frame: Frame) -> str:

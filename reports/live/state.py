@@ -13,8 +13,9 @@ from typing import Any, get_args
 import attrs
 import numpy as np
 
+from termwise.renderer.auto import chosen
 from termwise.renderer.plan import check
-from termwise.renderer.terms import DEFAULTS, Chain, Variant, find
+from termwise.renderer.terms import AUTO, Chain, Variant, find, names
 from termwise.reports.jobs import cells
 from termwise.scenes.load import library, load
 from termwise.scenes.model import Camera, Mesh, Object, Scene, in_range
@@ -34,13 +35,13 @@ class State:
     Attributes
     ----------
     scene : with its resolution.
-    variants : name of the estimator of each term.
+    variants : name of the estimator of each term, "auto" of direct for the one that fits the scene.
     samples : per pixel, where refinement ends.
     seed : equal seeds give equal bits.
     """
 
     scene: Scene
-    variants: dict[Term, str] = attrs.field(factory=lambda: dict(DEFAULTS))
+    variants: dict[Term, str] = attrs.field(factory=lambda: {term: names(term)[0] for term in TERMS})
     samples: int = attrs.field(default=256, validator=in_range(1, 2**20))
     seed: int = attrs.field(default=0, validator=in_range(0, 2**31 - 1))
 
@@ -49,16 +50,22 @@ class State:
         if max(self.scene.resolution) > LARGEST:
             raise ValueError(f"resolution = {self.scene.resolution}: allowed is up to {LARGEST} here")
         for term in TERMS:
-            check(self.scene, self.variant(term), chain=CHAIN)
+            # What `auto` takes fits.
+            if self.variants[term] != AUTO:
+                check(self.scene, self.variant(term), chain=CHAIN)
 
     def variant(self, term: Term) -> Variant:
         """The estimator of a term."""
-        return find(term, self.variants[term])
+        return chosen(self.scene, term, self.variants[term])
 
     def content(self, term: Term) -> tuple[Any, ...]:
-        """All that decides the bits of a term's samples; equal where they can be kept."""
-        variant = self.variant(term)
-        return term, variant.name, self.seed, cells.content(self.scene, variant, chain=CHAIN)
+        """All that decides the bits of a term's samples; equal where they can be kept.
+
+        Of `auto` all that either variant may read, so that no page waits for the choice.
+        """
+        name = self.variants[term]
+        variant = find(term, None if name == AUTO else name)
+        return term, name, self.seed, cells.content(self.scene, variant, chain=CHAIN)
 
 
 def invalidated(before: State, after: State) -> tuple[Term, ...]:
@@ -249,7 +256,7 @@ def command(state: State, scene: str | Path, samples: int) -> str:
     described = load(scene)
     if described.resolution != state.scene.resolution:
         words += ["--resolution", *map(str, state.scene.resolution)]
-    others = [f"{term}={name}" for term, name in state.variants.items() if name != DEFAULTS[term]]
+    others = [f"{term}={name}" for term, name in state.variants.items() if name != names(term)[0]]
     for other in others:
         words += ["--variant", other]
     return shlex.join(words)

@@ -127,7 +127,8 @@ def test_a_face_shows_its_front_from_behind():
 def test_photons_are_refused_where_fronts_show_from_behind():
     scene = small_changed("two_cubes", normals="face")
     with pytest.raises(ValueError, match="normals = 'face': allowed is 'viewer' for direct next-event"):
-        renderer.render(scene, "direct")
+        renderer.render(scene, "direct", variant="next-event")
+    renderer.render(scene, "direct", samples=1)  # by paths
     with pytest.raises(ValueError, match="specular vndf"):
         renderer.render(scene, "specular")
     renderer.render(scene, "specular", chain="path", samples=1)

@@ -3,14 +3,17 @@
 import json
 import math
 
+import attrs
 import numpy as np
 import pytest
 
+from termwise import renderer
 from termwise.reports import cli
 from termwise.reports.bench import common, curves, equal_error, reductions, scaling, view
 from termwise.reports.bench.worker import Load
 from termwise.reports.pages import bench as page
 from termwise.reports.progress import silent
+from termwise.scenes.load import load
 from termwise.scenes.terms import TERMS
 
 MACHINE = {"processor": "a <fast> one", "cores": 2, "threads": 2, "load": 0.5, "versions": {"python": "3.11"}}
@@ -72,9 +75,12 @@ def test_the_truth_leans_on_the_quieter_side():
 
 
 def test_every_right_estimator_is_a_case():
-    """Direct twice, by scope; with all bounces a kernel estimate and an unbiased one."""
+    """Direct twice, by scope; with all bounces a kernel estimate and an unbiased one, of which the default says so."""
     found = list(equal_error.cases(("cornell_box", "monkey"), ("ambient", "direct", "specular"), 8))
-    assert [(case.scene.name, case.variant.term, case.scope, case.label) for case in found] == [
+    labels = [case.label.removesuffix(" (auto)") for case in found]
+    assert [
+        (each.scene.name, each.variant.term, each.scope, label) for each, label in zip(found, labels, strict=True)
+    ] == [
         ("cornell_box", "ambient", None, "cosine"),
         ("cornell_box", "direct", "first-hit", "next-event"),
         ("cornell_box", "direct", "all", "next-event"),
@@ -87,7 +93,10 @@ def test_every_right_estimator_is_a_case():
         ("monkey", "specular", "all", "vndf+next-event"),
         ("monkey", "specular", "all", "vndf+path"),
     ]
-    assert [case.kernel_based for case in found if case.label == "next-event"] == [False, True] * 2
+    assert [case.kernel_based for case in found if case.variant.name == "next-event"] == [False, True] * 2
+    taken = [(each.scene.name, each.scope, each.variant.name) for each in found if each.label.endswith(" (auto)")]
+    scenes = [attrs.evolve(load(name), scope="all", resolution=(8, 8)) for name in ("cornell_box", "monkey")]
+    assert taken == [(scene.name, "all", renderer.chosen(scene, "direct").name) for scene in scenes]
     assert set(equal_error.TERMS) < set(TERMS)
 
 

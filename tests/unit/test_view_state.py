@@ -7,8 +7,9 @@ import attrs
 import numpy as np
 import pytest
 
+from termwise.renderer.auto import choice
 from termwise.reports.live.inputs import groups
-from termwise.reports.live.page import _verdict_table
+from termwise.reports.live.page import _variant, _verdict_table
 from termwise.reports.live.state import History, State, command, get, invalidated, named, orbit, pan, put, zoom
 from termwise.reports.live.truth import TruthRow, TruthView
 from termwise.scenes.load import load
@@ -16,6 +17,7 @@ from termwise.scenes.save import save
 from termwise.scenes.terms import TERMS
 
 CUBES, BOX, MONKEY, LIGHTS = (State(load(name)) for name in ("two_cubes", "cornell_box", "monkey", "lights"))
+PATHS = put(CUBES, ("variants", "direct"), "path")
 GROUND = ("scene", "objects", 0, "material")
 
 # What is changed, to what, and the terms that have to be rendered anew.
@@ -33,9 +35,11 @@ CHANGES = [
     (CUBES, ("scene", "camera", "fov"), 50.0, TERMS),
     (CUBES, ("scene", "photons", "count"), 1000, ("direct", "specular")),
     (CUBES, ("scene", "photons", "survival"), 0.5, ("direct", "specular")),
+    (PATHS, ("scene", "photons", "count"), 1000, ("specular",)),
     (CUBES, ("scene", "camera", "up", 0), 0.1, TERMS),
     (CUBES, ("scene", "max_bounces"), 1, ("specular",)),
     (CUBES, ("variants", "direct"), "path", ("direct",)),
+    (PATHS, ("variants", "direct"), "next-event", ("direct",)),
     (CUBES, ("seed",), 5, TERMS),
     (CUBES, ("samples",), 5, ()),
     (BOX, ("scene", "photons", "count"), 1000, ()),
@@ -117,12 +121,12 @@ REFUSED = [
     (("scene", "max_bounces"), 1.5, r"max_bounces = 1\.5: allowed is an integer"),
     (("samples",), 0, r"samples = 0: allowed is a number in \[1, 1\.04858e\+06\]"),
     (("seed",), -1, r"seed = -1"),
-    (("scene", "normals"), "face", r"normals = 'face': allowed is 'viewer' for direct next-event"),
+    (("scene", "normals"), "face", r"normals = 'face': allowed is 'viewer' for specular vndf"),
     (("scene", "photons", "survival"), 0.0, r"survival = 0\.0: allowed is a number in \(0, 1\]"),
     (("scene", "photons", "survival"), "often", r"survival = 'often': allowed is a number"),
     (("scene", "camera", "up"), (0.0, 0.0, 0.0), r"up = .*: allowed is a vector not parallel"),
     (("scene", "toggles", "lighting"), 1, r"lighting = 1: allowed is true or false"),
-    (("variants", "direct"), "magic", r"variant = 'magic' of direct: allowed are"),
+    (("variants", "direct"), "magic", r"variant = 'magic' of direct: allowed are auto, next-event, path"),
 ]
 
 
@@ -130,6 +134,20 @@ REFUSED = [
 def test_wrong_values_are_refused_in_the_models_words(path, value, message):
     with pytest.raises(ValueError, match=message):
         put(CUBES, path, value)
+
+
+def test_the_page_names_what_auto_takes():
+    assert _variant(CUBES, "direct") == "path, by auto"
+    assert _variant(PATHS, "direct") == "path"
+    assert _variant(BOX, "direct") == "next-event, by auto", "of first hits"
+    assert _variant(CUBES, "ambient") == "cosine"
+
+
+def test_no_input_waits_for_the_choice():
+    """A state is made and compared without a path: the page answers while kernels compile."""
+    before = choice.cache_info()
+    assert invalidated(CUBES, put(CUBES, ("scene", "objects", 3, "emission", 0), 9.5)) == ("direct", "specular")
+    assert choice.cache_info() == before
 
 
 def test_undo_and_redo():
