@@ -17,7 +17,7 @@ import numpy as np
 
 from termwise.renderer.engine import Engine
 from termwise.renderer.plan import photons_of_a_pass
-from termwise.renderer.terms import AUTO, VARIANTS, Variant, names
+from termwise.renderer.terms import AUTO, VARIANTS, Variant, named
 from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE
 
@@ -50,10 +50,7 @@ def chosen(scene: Scene, term: str, name: str | None = None) -> Variant:
 
     What `auto` has taken says so in its `chosen`, and is the named one in all else.
     """
-    allowed = names(term)
-    name = allowed[0] if name is None else name
-    if name not in allowed:
-        raise ValueError(f"variant = {name!r} of {term}: allowed are {', '.join(allowed)}")
+    name = named(term, name)
     if name != AUTO:
         return VARIANTS[term][name]
     found = choice(scene)

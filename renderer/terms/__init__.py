@@ -23,7 +23,7 @@ AUTO = "auto"
 DEFAULTS: dict[Term, str] = {term: next(iter(VARIANTS[term])) for term in TERMS}
 
 __all__ = [
-    "AUTO", "DEFAULTS", "VARIANTS", "Chain", "Variant", "find", "names", "register", "registered",
+    "AUTO", "DEFAULTS", "VARIANTS", "Chain", "Variant", "find", "named", "names", "register", "registered",
 ]  # fmt: skip
 
 
@@ -40,6 +40,15 @@ def names(term: str) -> tuple[str, ...]:
     """What a variant of a term can be named by, the default first."""
     _known(term)
     return (AUTO, *VARIANTS[term]) if term == "direct" else tuple(VARIANTS[term])
+
+
+def named(term: str, name: str | None = None) -> str:
+    """One of the `names`, the default without one; a ValueError lists those that exist."""
+    allowed = names(term)
+    name = allowed[0] if name is None else name
+    if name not in allowed:
+        raise ValueError(f"variant = {name!r} of {term}: allowed are {', '.join(allowed)}")
+    return name
 
 
 def _known(term: str) -> None:

@@ -162,14 +162,14 @@ def replay(
     """
     from termwise.renderer.auto import chosen
     from termwise.renderer.replay import replay as replayed
-    from termwise.renderer.terms import AUTO, find, names
+    from termwise.renderer.terms import AUTO, find, named
     from termwise.reports.results import microscope
     from termwise.reports.statistics import sequential
     from termwise.reports.study import allotment, subjects
     from termwise.reports.study import study as studies
 
     asked = studies.load(study)
-    name = names(term)[0] if variant is None else variant
+    name = named(term, variant)
     # Which scene it is tells what `auto` takes there.
     subject, count = subjects.named(asked, scene, find(term, None if name == AUTO else name), approximate=approximate)
     estimator = chosen(subject.scene, term, name)
