@@ -258,6 +258,7 @@ class Engine:
         per_map = _CHAINS_A_MAP if chain == "paper" and TABLE[variant.term].meets else 1
         tiles = self.tiles[variant.term]
         split = 1 if "splitting" in self.without else variant.split(self.scene)
+        counted = by_contrast(self.scene, variant, chain, self.without)
         begin, taken = np.zeros((height, width), np.int32), np.ones((height, width, 1))
         done = 0
         self._warm(task, key, out)
@@ -273,7 +274,8 @@ class Engine:
                 inputs = variant.inputs(self.scene, chain, photons)
                 work = _work(tiles, split if last > ALONE else 1)
                 end = self._counts(task, last, cancel)
-                seen = self._room_for_hits(key, request.samples)
+                # Where terms count by themselves, little of what camera rays meet would be shared.
+                seen = NOTHING_SEEN if counted else self._room_for_hits(key, request.samples)
                 self._add(driver, inputs, key, work, begin, end, out, seen, cancel)
                 self._add_beyond(variant.term, out, last - first)
                 taken[:, :, 0] = end
@@ -295,7 +297,7 @@ class Engine:
         return each
 
     def _counts_by_contrast(self, variant: Variant, chain: Chain, samples: int) -> bool:
-        decided = samples > LEAST and "counts" not in self.without and by_contrast(self.scene, variant, chain)
+        decided = samples > LEAST and by_contrast(self.scene, variant, chain, self.without)
         return decided and skipped(self.scene, variant.term) is None
 
     def _contrast(self, task: _Task, cancel: threading.Event | None) -> Contrast | None:

@@ -330,9 +330,9 @@ def _splitting(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     return None
 
 
-def by_contrast(scene: Scene, variant: Variant, chain: Chain) -> bool:
-    """Whether the contrast between their corners says how many samples pixels get: even of no map, not of many."""
-    return variant.by_contrast and needs_photons(scene, variant, chain) is None
+def by_contrast(scene: Scene, variant: Variant, chain: Chain, without: Collection[str] = ()) -> bool:
+    """Whether the contrast between its corners says how many samples a pixel gets: each of a map's is for all."""
+    return variant.by_contrast and "counts" not in without and needs_photons(scene, variant, chain) is None
 
 
 def _counts(scene: Scene, variant: Variant, chain: Chain) -> str | None:
@@ -372,7 +372,7 @@ def plan(
     if not together:
         return tuple(steps)
     steps = _with_shared_maps(scene, variants, chain, counts, steps, frozenset(without))
-    return tuple(_with_shared_rays(scene, variants, counts, steps, frozenset(without)))
+    return tuple(_with_shared_rays(scene, variants, chain, counts, steps, frozenset(without)))
 
 
 def _with_shared_maps(
@@ -400,7 +400,12 @@ def _with_shared_maps(
 
 
 def _with_shared_rays(
-    scene: Scene, variants: dict[Term, Variant], counts: dict[Term, int], steps: list[Step], without: frozenset[str]
+    scene: Scene,
+    variants: dict[Term, Variant],
+    chain: Chain,
+    counts: dict[Term, int],
+    steps: list[Step],
+    without: frozenset[str],
 ) -> list[Step]:
     """The steps, those of camera rays that an earlier term has traced behind their kernels."""
     found: list[Step] = []
@@ -409,7 +414,8 @@ def _with_shared_rays(
     room = KEPT_BYTES // (scene.resolution[0] * scene.resolution[1] * SEEN_BYTES)
     for step in steps:
         found.append(step)
-        if not (step.work.startswith("kernel") and step.runs):
+        counted = by_contrast(scene, variants[step.term], chain, without)
+        if counted or not (step.work.startswith("kernel") and step.runs):
             continue
         split = 1 if "splitting" in without else variants[step.term].split(scene)
         hits = primary_hits_of(0, counts[step.term], split)[1]

@@ -32,7 +32,8 @@ def first_hits(name: str, width: int, height: int) -> Scene:
 
 def of_deviations(deviations: ArrayLike) -> Contrast:
     """Pixels in a row; 256 is the level of the mean deviation, sixteen a factor of two."""
-    level = np.log2(np.array(deviations) / np.mean(deviations))
+    each = np.asarray(deviations, np.float64)
+    level = np.log2(each / each.mean())
     return Contrast(np.ones((1, len(level)), bool), np.rint(256 + 16 * level).astype(int))
 
 
