@@ -22,7 +22,7 @@ from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE
 
 # What photons take, in rays times relative variance: a pixel, and each ray of a photon.
-GATHERED, TRACED = 0.12, 0.036
+GATHERED, TRACED = 0.15, 0.0133
 # Pixels of a side, and paths a pixel.
 _SIDE, _PATHS = 16, 8
 
