@@ -331,8 +331,13 @@ def _splitting(scene: Scene, variant: Variant, chain: Chain) -> str | None:
 
 
 def by_contrast(scene: Scene, variant: Variant, chain: Chain, without: Collection[str] = ()) -> bool:
-    """Whether the contrast between its corners says how many samples a pixel gets: each of a map's is for all."""
-    return variant.by_contrast and "counts" not in without and needs_photons(scene, variant, chain) is None
+    """Whether the contrast between its corners says how many samples a pixel gets.
+
+    Not with a photon map, which is for all pixels, and not where all rays of a pixel are one: corners differ where
+    samples do not.
+    """
+    serves = variant.by_contrast and "counts" not in without and scene.camera.pixel == "jitter"
+    return serves and needs_photons(scene, variant, chain) is None
 
 
 def _counts(scene: Scene, variant: Variant, chain: Chain) -> str | None:

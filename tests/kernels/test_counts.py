@@ -145,7 +145,7 @@ def test_the_same_for_all_seeds_and_no_more_than_asked():
 
 
 def test_shares_are_those_that_are_taken():
-    """Of one term by contrast, of another even; the plan says so of the first alone."""
+    """By contrast of one term, unless all rays of a pixel are one; even of others, as the plan says."""
     scene = first_hits("cornell_box", 16, 12)
     with Engine(scene, threads=2) as engine:
         each = engine.shares(DIRECT, samples=16)
@@ -155,6 +155,8 @@ def test_shares_are_those_that_are_taken():
         assert each.min() < 16 < each.max()
         for variant, samples in ((DIRECT, 4), (find("ambient"), 16), (BACKGROUND, 16)):
             np.testing.assert_array_equal(engine.shares(variant, samples=samples), samples)
+    with Engine(attrs.evolve(scene, camera=attrs.evolve(scene.camera, pixel="centre")), threads=2) as engine:
+        np.testing.assert_array_equal(engine.shares(DIRECT, samples=16), 16)
     steps = plan(scene, {term: find(term) for term in TERMS}, samples=16)
     assert [step.term for step in steps if step.work == REDUCTIONS["counts"].work] == ["direct"]
 
