@@ -25,7 +25,7 @@ from termwise.reference.backend import import_mitsuba
 from termwise.renderer import Engine, Variant, chosen, find
 from termwise.renderer.plan import powers_of_two
 from termwise.renderer.terms import Chain
-from termwise.reports.bench.common import BACKEND, known, machine, positive, spread
+from termwise.reports.bench.common import BACKEND, known, machine, positive, settle, spread
 from termwise.reports.bench.curves import leaders, pooled, seconds_to, targets
 from termwise.scenes import limits
 from termwise.scenes.limits import Limit
@@ -38,7 +38,7 @@ TERMS = ("ambient", "direct", "specular", "transmission")
 RUNS = 5
 RESOLUTION = 128
 # Seconds that the longest run of a setting may take, about.
-SECONDS = 0.5
+SECONDS = 0.25
 _SEED, _TRUTH_SEED = 1, 2
 # Of the truth: runs of each side, how much finer than our finest they are, and Mitsuba's samples a pixel.
 _TRUTH_RUNS, _FINER, _TRUTH_SPP = 4, 4, 64
@@ -255,6 +255,7 @@ def _ours(
 ) -> Curve:
     """One run of ours; its finest image goes to `images`."""
     samples, square, seconds = [], [], []
+    settle()
     for number in powers_of_two(count):
         engine.contrasts.clear()  # what an earlier run has found is paid for again
         ((_, image, spent),) = engine.prefixes(
@@ -276,6 +277,7 @@ def _theirs(setting: Any, truth: Truth, seconds: float, *, seed: int) -> Curve:
     from termwise.reports.bench import yardstick
 
     samples, square, spent = [], [], []
+    settle()
     for asked in yardstick.LADDER:
         count = setting.samples(asked)
         if count in samples:
