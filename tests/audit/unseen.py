@@ -83,8 +83,8 @@ UNSEEN = (
         "view: samples of another seed shown",
         Test(_VIEW + "test_a_change_touches_what_depends_on_it"),
         "reports/live/state.py",
-        "return term, variant.name, self.seed, cells.content",
-        "return term, variant.name, cells.content",
+        "return term, name, self.seed, cells.content",
+        "return term, name, cells.content",
     ),
     Plant(
         "view: the camera turns the other way",
