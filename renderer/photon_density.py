@@ -9,7 +9,7 @@ import numpy as np
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry import simd
 from termwise.renderer.geometry.simd import bits, choose, load, load_ints, lowest_bit, numbers, rows, splat, store
-from termwise.renderer.jit import device
+from termwise.renderer.jit import device, subroutine
 from termwise.renderer.kernel_mass import falloff, kernel_mass, peak, same_surface
 from termwise.renderer.photon_map import PhotonMap, cells_within, range_of
 from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
@@ -18,7 +18,7 @@ from termwise.renderer.triangles import Geometry
 from termwise.renderer.vector import Vec3, column, dot, entry, is_black, scale, sub, vec3
 
 
-@device
+@subroutine
 def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface, scratch: Scratch) -> Vec3:
     """E at a surface point by the map's kernel, divided by its mass on the surface."""
     if len(photons.face) == 0:
