@@ -38,9 +38,14 @@ def _hopeful(wave: Wave, kind: int) -> bool:
 
 
 @device
-def _give_up(wave: Wave, kind: int) -> None:
-    wave.backoff[kind, 0] = wave.backoff[kind, 1]
-    wave.backoff[kind, 1] = min(2 * wave.backoff[kind, 1], packets.MOST_BACKOFF)
+def _learn(wave: Wave, kind: int, paid: bool) -> bool:
+    """Remember whether a packet paid, and return it."""
+    if paid:
+        wave.backoff[kind, 1] = BACKOFF
+    else:
+        wave.backoff[kind, 0] = wave.backoff[kind, 1]
+        wave.backoff[kind, 1] = min(2 * wave.backoff[kind, 1], packets.MOST_BACKOFF)
+    return paid
 
 
 @device
@@ -72,11 +77,8 @@ if _VECTORS:
         if not _hopeful(wave, _NEAREST):
             return False
         packet = packets.make_packet(tree.bvh8, wave, at)
-        if packet.coherent and packets.closest_hits_of_packet(tree.bvh8, packet, wave, at, far, stack):
-            wave.backoff[_NEAREST, 1] = BACKOFF
-            return True
-        _give_up(wave, _NEAREST)
-        return False
+        paid = packet.coherent and packets.closest_hits_of_packet(tree.bvh8, packet, wave, at, far, stack)
+        return _learn(wave, _NEAREST, paid)
 
     @subroutine
     def closest_hits_of_wave(
@@ -98,11 +100,8 @@ if _VECTORS:
         if not _hopeful(wave, _ANY):
             return False
         packet = packets.make_packet(tree.bvh8, wave, at)
-        if packet.coherent and packets.any_hits_of_packet(tree.bvh8, packet, wave, at, far, stack):
-            wave.backoff[_ANY, 1] = BACKOFF
-            return True
-        _give_up(wave, _ANY)
-        return False
+        paid = packet.coherent and packets.any_hits_of_packet(tree.bvh8, packet, wave, at, far, stack)
+        return _learn(wave, _ANY, paid)
 
     @subroutine
     def any_hits_of_wave(

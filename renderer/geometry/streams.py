@@ -161,8 +161,15 @@ def _shear(wave: Wave, r: int) -> Shear:
 
 
 @device
-def _faces(leaves: np.ndarray, leaf: int) -> int:
-    return load_ints(leaves, (leaf * LEAF + FACES) * (leaves.itemsize // 4), 8)
+def _leaf(wide: Bvh8, wave: Wave, r: int, leaf: int) -> tuple:
+    """Ray r against a leaf's triangles: what it meets of them, 1 / det, distances, faces, and which it may hit."""
+    shear = _shear(wave, r)
+    hit = triangles_of(wide.leaves, leaf, shear)
+    scale = splat(1.0, 8) / hit.det
+    t = distances(shear, hit, scale)
+    faces = load_ints(wide.leaves, (leaf * LEAF + FACES) * (wide.leaves.itemsize // 4), 8)
+    left = (faces < splat(wave.first[r], 8)) | (faces >= splat(wave.end[r], 8))
+    return hit, scale, t, faces, hit.inside & (t > splat(0.0, 8)) & left
 
 
 @device
@@ -227,13 +234,8 @@ def _test_leaves(wide: Bvh8, wave: Wave, waiting: int, far: float, stack: np.nda
         _fetch_leaf(wide.leaves, -1 - entry(stack, _LEAF_NODES + min(k + _AHEAD, waiting - 1)))
         if wave.found[r]:
             continue
-        shear = _shear(wave, r)
-        hit = triangles_of(wide.leaves, leaf, shear)
-        t = distances(shear, hit, splat(1.0, 8) / hit.det)
-        faces = _faces(wide.leaves, leaf)
-        met = hit.inside & (t > splat(0.0, 8)) & (t < splat(far, 8)) & (faces != splat(wave.target[r], 8))
-        met = met & ((faces < splat(wave.first[r], 8)) | (faces >= splat(wave.end[r], 8)))
-        wave.found[r] = bits(met) != 0
+        _, _, t, faces, met = _leaf(wide, wave, r, leaf)
+        wave.found[r] = bits(met & (t < splat(far, 8)) & (faces != splat(wave.target[r], 8))) != 0
 
 
 @device
@@ -311,13 +313,8 @@ def closest_hits_of_stream(wide: Bvh8, wave: Wave, rays: int, far: float, stack:
 
 @device
 def _test_leaf(wide: Bvh8, wave: Wave, r: int, leaf: int) -> None:
-    shear = _shear(wave, r)
-    hit = triangles_of(wide.leaves, leaf, shear)
-    scale = splat(1.0, 8) / hit.det
-    t = distances(shear, hit, scale)
-    faces = _faces(wide.leaves, leaf)
-    met = hit.inside & (t > splat(0.0, 8)) & (t <= splat(wave.t[r], 8))
-    lanes = bits(met & ((faces < splat(wave.first[r], 8)) | (faces >= splat(wave.end[r], 8))))
+    hit, scale, t, faces, met = _leaf(wide, wave, r, leaf)
+    lanes = bits(met & (t <= splat(wave.t[r], 8)))
     while lanes != 0:
         lane = lowest_bit(lanes)
         lanes &= lanes - 1
