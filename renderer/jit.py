@@ -22,6 +22,7 @@ import numpy as np
 from numba.core import config, types
 from numba.extending import models, register_model
 
+from termwise.renderer.bitcode import ForKernels
 from termwise.scenes.store import cache_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -137,7 +138,12 @@ class _Device:
     def __init__(self, function: Callable[..., Any], *, inline: bool) -> None:
         functools.update_wrapper(self, function)
         self._for_kernels = _compile(
-            function, _nrt=False, forceinline=inline, no_cpython_wrapper=True, no_cfunc_wrapper=True
+            function,
+            pipeline_class=ForKernels,
+            _nrt=False,
+            forceinline=inline,
+            no_cpython_wrapper=True,
+            no_cfunc_wrapper=True,
         )
         # In a folder of its own: Numba's cache does not tell apart how a function was compiled.
         self._for_python = _compile(function, "python", _nrt=False, no_cfunc_wrapper=True)

@@ -117,6 +117,36 @@ print(*compiled_kernels(), sep=",")
 
 
 @pytest.mark.slow
+def test_machine_code_is_made_of_kernels_alone(copy):
+    """The object that Numba keeps of a kernel defines it, that of a function linked into kernels does not.
+
+    Another process that finds the function cached, and not the kernel, compiles the kernel from it: the same image.
+    """
+    code = """
+import attrs
+from termwise.renderer import render
+from termwise.renderer.jit import KERNELS
+from termwise.renderer.rng import fold
+from termwise.scenes.analytic import disc_over_plane
+scene = attrs.evolve(disc_over_plane(height=1.0, radius=1.0, sides=3), resolution=(1, 1))
+print(render(scene, "ambient", samples=1).mean.sum())
+[kernel] = [each for each in KERNELS if each.__name__ == "_occlusion"]
+for function in (kernel, fold._for_kernels):
+    each = function.overloads.values()
+    print(*{it.fndesc.mangled_name.encode() in (it.library._compiled_object or b"") for it in each})
+"""
+    cached = copy / "cache/numba"
+    shutil.rmtree(cached, ignore_errors=True)
+    image, *made = run(copy, code).split("\n")
+    assert made == ["True", "False"]
+    kernels = [path for path in cached.rglob("*") if "_occlusion" in path.name]
+    assert kernels
+    for path in kernels:
+        path.unlink()
+    assert run(copy, code).split("\n")[:2] == [image, "True"]
+
+
+@pytest.mark.slow
 def test_digest_changes_with_what_a_module_reaches_and_nothing_else(copy):
     """Editing `terms.direct` changes its digest and those of terms that reach it, not those of others."""
     code = (
@@ -155,12 +185,13 @@ def test_digest_covers_transitive_imports():
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PROJECT)))
 def test_options_of_numba_are_named_in_one_place(path):
-    """No `fastmath` anywhere, and no use of numba outside jit.py (and simd.py's intrinsics, by_reference.py's type)."""
+    """No `fastmath` anywhere, and no use of numba outside jit.py (and its intrinsics, types and pipelines)."""
     tree = ast.parse(path.read_text("utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.keyword):
             assert node.arg != "fastmath"
-        if isinstance(node, ast.Import | ast.ImportFrom) and path.name not in ("jit.py", "simd.py", "by_reference.py"):
+        extends = ("jit.py", "simd.py", "by_reference.py", "bitcode.py")
+        if isinstance(node, ast.Import | ast.ImportFrom) and path.name not in extends:
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [item.name for item in node.names]
             assert not any(name.split(".")[0] == "numba" for name in names)
 
