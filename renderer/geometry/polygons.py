@@ -31,10 +31,10 @@ from termwise.renderer.geometry.bvh8_traverse import Shear, distances, edges
 from termwise.renderer.geometry.intersect import FaceRange, Ray, component
 from termwise.renderer.geometry.simd import (
     bits,
+    broadcast,
     choose,
     fma,
     fms,
-    gather,
     highest,
     load,
     lowest,
@@ -44,6 +44,7 @@ from termwise.renderer.geometry.simd import (
     minimum,
     narrow,
     numbers,
+    rows,
     splat,
     store,
 )
@@ -57,11 +58,12 @@ LANES = 16
 MOST = 63
 MISS, HIT, DOUBT = range(3)
 _ALL = (1 << LANES) - 1
+_EIGHT = 255
 _UNIT = 2.0**-24
 _EXACT = 2.0**-43  # what float64 and the slack of `intersect_triangle` make, of coordinates of 1
 _FAR_AWAY = 2.0**20  # rays from farther away are left to float64, as are directions of lengths near its limits
 _SHORTEST, _LONGEST = 2.0**-900, 2.0**900
-_PAD = 2.0**-19  # of bounds: 32 roundings of r, of which boxes, origins, directions and quotients make 22
+_PAD = 2.0**-19  # of bounds: 32 roundings of r, of which boxes, origins, directions and quotients make 24
 _CONVEX = 2.0**-20  # the most that a corner of a convex piece lies above the plane of a face
 _PLACE = 2.0**-21  # the most that a fourth corner lies beside its place
 # Rows of the table: three edges with a moment and a direction each, N, N.a, bounds of an edge function and of t's
@@ -285,39 +287,43 @@ def _polygon(polygons: Polygons, number: int) -> Tested:
     e = number + _EDGES * s
     return Tested(
         (
-            splat(t[e], 16),
-            splat(t[e + s], 16),
-            splat(t[e + 2 * s], 16),
-            splat(t[e + 3 * s], 16),
-            splat(t[e + 4 * s], 16),
-            splat(t[e + 5 * s], 16),
+            broadcast(t, e, 16),
+            broadcast(t, e + s, 16),
+            broadcast(t, e + 2 * s, 16),
+            broadcast(t, e + 3 * s, 16),
+            broadcast(t, e + 4 * s, 16),
+            broadcast(t, e + 5 * s, 16),
         ),
         (
-            splat(t[e + 6 * s], 16),
-            splat(t[e + 7 * s], 16),
-            splat(t[e + 8 * s], 16),
-            splat(t[e + 9 * s], 16),
-            splat(t[e + 10 * s], 16),
-            splat(t[e + 11 * s], 16),
+            broadcast(t, e + 6 * s, 16),
+            broadcast(t, e + 7 * s, 16),
+            broadcast(t, e + 8 * s, 16),
+            broadcast(t, e + 9 * s, 16),
+            broadcast(t, e + 10 * s, 16),
+            broadcast(t, e + 11 * s, 16),
         ),
         (
-            splat(t[e + 12 * s], 16),
-            splat(t[e + 13 * s], 16),
-            splat(t[e + 14 * s], 16),
-            splat(t[e + 15 * s], 16),
-            splat(t[e + 16 * s], 16),
-            splat(t[e + 17 * s], 16),
+            broadcast(t, e + 12 * s, 16),
+            broadcast(t, e + 13 * s, 16),
+            broadcast(t, e + 14 * s, 16),
+            broadcast(t, e + 15 * s, 16),
+            broadcast(t, e + 16 * s, 16),
+            broadcast(t, e + 17 * s, 16),
         ),
-        (splat(t[e + _NORMAL * s], 16), splat(t[e + (_NORMAL + 1) * s], 16), splat(t[e + (_NORMAL + 2) * s], 16)),
-        splat(t[e + _HEIGHT * s], 16),
         (
-            splat(t[e + _BOUNDS * s], 16),
-            splat(t[e + (_BOUNDS + 1) * s], 16),
-            splat(t[e + (_BOUNDS + 2) * s], 16),
-            splat(t[e + (_BOUNDS + 3) * s], 16),
+            broadcast(t, e + _NORMAL * s, 16),
+            broadcast(t, e + (_NORMAL + 1) * s, 16),
+            broadcast(t, e + (_NORMAL + 2) * s, 16),
+        ),
+        broadcast(t, e + _HEIGHT * s, 16),
+        (
+            broadcast(t, e + _BOUNDS * s, 16),
+            broadcast(t, e + (_BOUNDS + 1) * s, 16),
+            broadcast(t, e + (_BOUNDS + 2) * s, 16),
+            broadcast(t, e + (_BOUNDS + 3) * s, 16),
         ),
         splat(number < polygons.pairs, 16),
-        (splat(polygons.members[0, number], 16), splat(polygons.members[1, number], 16)),
+        (broadcast(polygons.members, number, 16), broadcast(polygons.members, s + number, 16)),
     )
 
 
@@ -460,7 +466,7 @@ def first_bits(count: int) -> int:
 @device
 def _prepare(polygons: Polygons, wave: Wave, count: int, far: float) -> tuple[int, Bounds]:
     """Put the rays into the polygons' coordinates; which of them float32 can hold, as bits, and their bounds."""
-    scale, one, zero = splat(polygons.scale, 8), splat(1.0, 8), splat(0.0, 8)
+    scale, one, nan = splat(polygons.scale, 8), splat(1.0, 8), splat(np.nan, 8)
     most = splat(np.float32(_NOWHERE), 8)
     least = splat(np.float32(-_NOWHERE), 8)
     o_low, o_high, d_low, d_high = (most, most, most), (least, least, least), (most, most, most), (least, least, least)
@@ -481,15 +487,18 @@ def _prepare(polygons: Polygons, wave: Wave, count: int, far: float) -> tuple[in
         ok = (magnitude(x) + magnitude(y) + magnitude(z) < splat(_FAR_AWAY, 8)) & (sx + sy + sz < splat(_LONGEST, 8))
         ok = ok & (size > splat(_SHORTEST, 8)) & (numbers(8) < splat(np.int32(count - k), 8))
         held |= bits(ok) << k
+        # Of the others all is NaN: nothing is met, and bounds leave them out.
         inverse = one / size
-        dx, dy, dz = choose(ok, dx * inverse, one), choose(ok, dy * inverse, zero), choose(ok, dz * inverse, zero)
-        x, y, z = choose(ok, x, zero), choose(ok, y, zero), choose(ok, z, zero)
+        store(wave.shears, k, inverse)
+        inverse = choose(ok, inverse, nan)
+        dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
+        x, y, z = choose(ok, x, nan), choose(ok, y, nan), choose(ok, z, nan)
         r = maximum(magnitude(x), maximum(magnitude(y), magnitude(z)))
         # Nothing is farther than 1 + r.
         reach = minimum(splat(far * polygons.scale, 8) * size, splat(2.0, 8) * (one + r))
         o = narrow(x), narrow(y), narrow(z)
         d = narrow(dx), narrow(dy), narrow(dz)
-        end = narrow(choose(ok, reach, zero))
+        end = narrow(reach)
         store(wave.scaled, k, o[0])
         store(wave.scaled, SIZE + k, o[1])
         store(wave.scaled, 2 * SIZE + k, o[2])
@@ -500,28 +509,12 @@ def _prepare(polygons: Polygons, wave: Wave, count: int, far: float) -> tuple[in
         store(wave.scaled, 7 * SIZE + k, narrow(dz * x - dx * z))
         store(wave.scaled, 8 * SIZE + k, narrow(dx * y - dy * x))
         store(wave.scaled, 9 * SIZE + k, end)
-        o_low = (
-            minimum(o_low[0], choose(ok, o[0], most)),
-            minimum(o_low[1], choose(ok, o[1], most)),
-            minimum(o_low[2], choose(ok, o[2], most)),
-        )
-        o_high = (
-            maximum(o_high[0], choose(ok, o[0], least)),
-            maximum(o_high[1], choose(ok, o[1], least)),
-            maximum(o_high[2], choose(ok, o[2], least)),
-        )
-        d_low = (
-            minimum(d_low[0], choose(ok, d[0], most)),
-            minimum(d_low[1], choose(ok, d[1], most)),
-            minimum(d_low[2], choose(ok, d[2], most)),
-        )
-        d_high = (
-            maximum(d_high[0], choose(ok, d[0], least)),
-            maximum(d_high[1], choose(ok, d[1], least)),
-            maximum(d_high[2], choose(ok, d[2], least)),
-        )
-        furthest = maximum(furthest, end)
-        largest = maximum(largest, narrow(r))
+        o_low = minimum(o[0], o_low[0]), minimum(o[1], o_low[1]), minimum(o[2], o_low[2])
+        o_high = maximum(o[0], o_high[0]), maximum(o[1], o_high[1]), maximum(o[2], o_high[2])
+        d_low = minimum(d[0], d_low[0]), minimum(d[1], d_low[1]), minimum(d[2], d_low[2])
+        d_high = maximum(d[0], d_high[0]), maximum(d[1], d_high[1]), maximum(d[2], d_high[2])
+        furthest = maximum(end, furthest)
+        largest = maximum(narrow(r), largest)
     return held, Bounds(
         (lowest(o_low[0]), lowest(o_low[1]), lowest(o_low[2])),
         (highest(o_high[0]), highest(o_high[1]), highest(o_high[2])),
@@ -535,13 +528,13 @@ def _prepare(polygons: Polygons, wave: Wave, count: int, far: float) -> tuple[in
 @device
 def _between(axis: int, low: int, high: int, b: Bounds, pad: np.float32, enter: int, leave: int) -> tuple:
     """Depths at which rays of the bounds may be between the planes of 16 boxes across one axis."""
-    d0, d1 = b.low[axis], b.high[axis]
+    d0, d1, one = b.low[axis], b.high[axis], np.float32(1.0)
     if d0 > np.float32(0.0):
-        enter = maximum((low - splat(b.origin_high[axis] + pad, 16)) / splat(d1, 16), enter)
-        leave = minimum((high - splat(b.origin_low[axis] - pad, 16)) / splat(d0, 16), leave)
+        enter = maximum((low - splat(b.origin_high[axis] + pad, 16)) * splat(one / d1, 16), enter)
+        leave = minimum((high - splat(b.origin_low[axis] - pad, 16)) * splat(one / d0, 16), leave)
     elif d1 < np.float32(0.0):
-        enter = maximum((splat(b.origin_low[axis] - pad, 16) - high) / splat(-d0, 16), enter)
-        leave = minimum((splat(b.origin_high[axis] + pad, 16) - low) / splat(-d1, 16), leave)
+        enter = maximum((high - splat(b.origin_low[axis] - pad, 16)) * splat(one / d0, 16), enter)
+        leave = minimum((low - splat(b.origin_high[axis] + pad, 16)) * splat(one / d1, 16), leave)
     return enter, leave
 
 
@@ -587,16 +580,19 @@ def _backs(polygons: Polygons, wave: Wave, count: int, b: Bounds) -> int:
             hidden |= back & polygons.pieces[i]
     # Who passes a front need not have met it before the back.
     if hidden != 0:
-        last = -1
-        for i in range(count):
-            face = entry(wave.first, i)
-            if face != last:
-                last = face
-                for passed in range(max(face, 0), min(entry(wave.end, i), len(polygons.piece))):
+        for k in range(0, count, LANES):
+            first, end, target = load(wave.first, k, 16), load(wave.end, k, 16), load(wave.target, k, 16)
+            none = splat(np.int32(0), 16)
+            left = bits((end > none) | (target >= none)) & first_bits(count - k)
+            while left != 0:
+                i = k + lowest_bit(left)
+                for passed in range(max(wave.first[i], 0), min(wave.end[i], len(polygons.piece))):
                     hidden &= ~polygons.piece[passed]
-            target = entry(wave.target, i)
-            if 0 <= target < len(polygons.piece):
-                hidden &= ~polygons.piece[target]
+                if 0 <= wave.target[i] < len(polygons.piece):
+                    hidden &= ~polygons.piece[wave.target[i]]
+                # Rays that pass and aim at the same are done with it.
+                same = (first == broadcast(wave.first, i, 16)) & (end == broadcast(wave.end, i, 16))
+                left &= ~bits(same & (target == broadcast(wave.target, i, 16)))
     return hidden
 
 
@@ -716,41 +712,62 @@ def closest_hits_among_polygons(corners: np.ndarray, polygons: Polygons, wave: W
 
 
 @device
+def _turned(v: tuple, along_y: int, along_z: int, back: int) -> tuple:
+    """Components kx, ky and kz of `make_ray`; the last axis is z, or else y, or else x, and is gone along backwards."""
+    x, y = choose(along_z, v[0], choose(along_y, v[2], v[1])), choose(along_z, v[1], choose(along_y, v[0], v[2]))
+    return choose(back, y, x), choose(back, x, y), choose(along_z, v[2], choose(along_y, v[1], v[0]))
+
+
+@device
+def _corner(corners: np.ndarray, start: int, mine: int, others: tuple) -> tuple:
+    """The corner that begins at an entry, in the lanes `mine`."""
+    return (
+        choose(mine, broadcast(corners, start, 8), others[0]),
+        choose(mine, broadcast(corners, start + 1, 8), others[1]),
+        choose(mine, broadcast(corners, start + 2, 8), others[2]),
+    )
+
+
+@device
 def _put_hits(corners: np.ndarray, wave: Wave, k: int, far: float) -> None:
     """Write distances and weights of what rays k ... k + 7 meet, by the expressions of `intersect_triangle`."""
     face = load(wave.face, k, 8)
+    zero = splat(0.0, 8)
+    a = b = c = zero, zero, zero
     none = face < splat(np.int32(0), 8)
-    o = load(wave.origins, k, 8), load(wave.origins, SIZE + k, 8), load(wave.origins, 2 * SIZE + k, 8)
-    d = load(wave.directions, k, 8), load(wave.directions, SIZE + k, 8), load(wave.directions, 2 * SIZE + k, 8)
+    left = _EIGHT & ~bits(none)
+    if left == 0:
+        store(wave.t, k, splat(far, 8))
+        store(wave.b1, k, zero)
+        store(wave.b2, k, zero)
+        return
+    while left != 0:
+        one = entry(wave.face, k + lowest_bit(left))
+        mine = face == splat(np.int32(one), 8)
+        left &= ~bits(mine)
+        a = _corner(corners, 9 * one, mine, a)
+        b = _corner(corners, 9 * one + 3, mine, b)
+        c = _corner(corners, 9 * one + 6, mine, c)
+    o, d = rows(wave.origins, k), rows(wave.directions, k)
     along_y = magnitude(d[1]) > magnitude(d[0])
     main = choose(along_y, d[1], d[0])
     along_z = magnitude(d[2]) > magnitude(main)
-    main = choose(along_z, d[2], main)
-    zero, one, two = splat(np.int32(0), 8), splat(np.int32(1), 8), splat(np.int32(2), 8)
-    x, y = choose(along_z, d[0], choose(along_y, d[2], d[1])), choose(along_z, d[1], choose(along_y, d[0], d[2]))
-    ox, oy = choose(along_z, o[0], choose(along_y, o[2], o[1])), choose(along_z, o[1], choose(along_y, o[0], o[2]))
-    oz = choose(along_z, o[2], choose(along_y, o[1], o[0]))
-    kx, ky = choose(along_z, zero, choose(along_y, two, one)), choose(along_z, one, choose(along_y, zero, two))
-    kz = choose(along_z, two, choose(along_y, one, zero))
-    back = main < splat(0.0, 8)
-    x, y = choose(back, y, x), choose(back, x, y)
-    ox, oy = choose(back, oy, ox), choose(back, ox, oy)
-    kx, ky = choose(back, ky, kx), choose(back, kx, ky)
-    shear = Shear((ox, oy, oz), (x / main, y / main, splat(1.0, 8) / main), 0, 0, 0)
-    a = choose(none, zero, face) * splat(np.int32(9), 8)
-    b = a + splat(np.int32(3), 8)
-    c = b + splat(np.int32(3), 8)
+    back = choose(along_z, d[2], main) < zero
+    x, y, main = _turned(d, along_y, along_z, back)
+    # 1 / main, whose magnitude `_prepare` knows.
+    inverse = load(wave.shears, k, 8)
+    inverse = choose(back, zero - inverse, inverse)
+    shear = Shear(_turned(o, along_y, along_z, back), (x / main, y / main, inverse), 0, 0, 0)
     hit = edges(
-        (gather(corners, a + kx), gather(corners, a + ky), gather(corners, a + kz)),
-        (gather(corners, b + kx), gather(corners, b + ky), gather(corners, b + kz)),
-        (gather(corners, c + kx), gather(corners, c + ky), gather(corners, c + kz)),
+        _turned(a, along_y, along_z, back),
+        _turned(b, along_y, along_z, back),
+        _turned(c, along_y, along_z, back),
         shear,
     )
     inverse = splat(1.0, 8) / hit.det
-    nothing = splat(0.0, 8)
     store(wave.t, k, choose(none, splat(far, 8), distances(shear, hit, inverse)))
-    store(wave.b1, k, choose(none, nothing, hit.v * inverse))
-    store(wave.b2, k, choose(none, nothing, hit.w * inverse))
+    store(wave.b1, k, choose(none, zero, hit.v * inverse))
+    store(wave.b2, k, choose(none, zero, hit.w * inverse))
 
 
 @device

@@ -21,7 +21,7 @@ from termwise.renderer.geometry.polygons import (
 from termwise.renderer.geometry.streams import any_hits_of_stream, closest_hits_of_stream
 from termwise.renderer.geometry.wave import BACKOFF, SIZE, Wave, put_hit
 from termwise.renderer.jit import device, kernel, subroutine
-from termwise.renderer.vector import column, vec3
+from termwise.renderer.vector import column, put_column, vec3
 
 _VECTORS = simd.available()
 _NEAREST, _ANY = range(2)
@@ -143,10 +143,16 @@ else:
 
 @device
 def _load_wave(origins: np.ndarray, directions: np.ndarray, row: int, count: int, wave: Wave) -> None:
-    for axis in range(3):
+    if _VECTORS and count == SIZE:
+        for k in range(0, SIZE, 8):
+            o, d = simd.columns(origins, row + k), simd.columns(directions, row + k)
+            for axis in range(3):
+                simd.store(wave.origins, axis * SIZE + k, o[axis])
+                simd.store(wave.directions, axis * SIZE + k, d[axis])
+    else:
         for i in range(count):
-            wave.origins[axis, i] = origins[row + i, axis]
-            wave.directions[axis, i] = directions[row + i, axis]
+            put_column(wave.origins, i, vec3(origins, row + i))
+            put_column(wave.directions, i, vec3(directions, row + i))
 
 
 @kernel
@@ -170,9 +176,10 @@ def closest_hits(
         count = min(SIZE, len(origins) - row)
         _load_wave(origins, directions, row, count, wave)
         closest_hits_of_wave(corners, tree, wave, count, far, coherent, stack)
-        for i in range(count):
-            t[row + i] = wave.t[i]
-            face[row + i] = wave.face[i]
+        # Unsigned, for each entry is asked whether it is counted from the end, and scattered, where that may be.
+        for i in range(np.uint64(count)):
+            t[np.uint64(row) + i] = wave.t[i]
+            face[np.uint64(row) + i] = wave.face[i]
 
 
 @kernel
@@ -192,8 +199,8 @@ def any_hits(
         count = min(SIZE, len(origins) - row)
         _load_wave(origins, directions, row, count, wave)
         any_hits_of_wave(corners, tree, wave, count, far, coherent, stack)
-        for i in range(count):
-            found[row + i] = wave.found[i]
+        for i in range(np.uint64(count)):
+            found[np.uint64(row) + i] = wave.found[i]
 
 
 @kernel

@@ -182,6 +182,14 @@ def store(typingctx: Any, array: Any, start: Any, vector: Any) -> Any:
     return types.void(array, types.intp, vector), codegen
 
 
+def _in_all_lanes(builder: Any, value: Any, kind: Any) -> Any:
+    empty = ir.Constant(kind, ir.Undefined)
+    first = builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(
+        first, empty, ir.Constant(ir.VectorType(ir.IntType(32), kind.count), [0] * kind.count)
+    )
+
+
 @intrinsic(prefer_literal=True)
 def splat(typingctx: Any, value: Any, lanes: Any) -> Any:
     """The same number in all lanes."""
@@ -190,13 +198,26 @@ def splat(typingctx: Any, value: Any, lanes: Any) -> Any:
     vector = Vector(value, _literal(lanes))
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = context.get_value_type(vector)
-        empty = ir.Constant(kind, ir.Undefined)
-        first = builder.insert_element(empty, args[0], ir.Constant(ir.IntType(32), 0))
-        lane = ir.Constant(ir.VectorType(ir.IntType(32), vector.lanes), [0] * vector.lanes)
-        return builder.shuffle_vector(first, empty, lane)
+        return _in_all_lanes(builder, args[0], context.get_value_type(vector))
 
     return vector(value, lanes), codegen
+
+
+@intrinsic(prefer_literal=True)
+def broadcast(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
+    """An entry of a C-contiguous array, counted over all of it, in all lanes.
+
+    `splat(array[index], lanes)` asks first whether the index is negative, which takes longer than to load the entry.
+    """
+    if not (isinstance(array, types.Array) and array.layout == "C" and isinstance(lanes, types.IntegerLiteral)):
+        return None
+    vector = Vector(array.dtype, _literal(lanes))
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = builder.gep(_data(context, builder, sig, args), [args[1]], inbounds=True)
+        return _in_all_lanes(builder, builder.load(place), context.get_value_type(vector))
+
+    return vector(array, types.intp, lanes), codegen
 
 
 @intrinsic(prefer_literal=True)
@@ -215,6 +236,36 @@ def rows(array: np.ndarray, first: int) -> tuple:
     """Entries first ... first + 7 of the rows of a C-contiguous (3, N) array."""
     size = array.shape[1]
     return load(array, first, 8), load(array, size + first, 8), load(array, 2 * size + first, 8)
+
+
+@intrinsic
+def columns(typingctx: Any, array: Any, first: Any) -> Any:
+    """Rows first ... first + 7 of a C-contiguous (N, 3) array as three vectors, one a column."""
+    if not (isinstance(array, types.Array) and array.layout == "C" and array.ndim == 2):
+        return None
+    vector = Vector(array.dtype, 8)
+    three = types.UniTuple(vector, 3)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind = context.get_value_type(vector)
+        start = builder.mul(args[1], ir.Constant(args[1].type, 3))
+        place = builder.gep(_data(context, builder, sig, args), [start], inbounds=True)
+        place = builder.bitcast(place, kind.as_pointer())
+        parts = [builder.load(builder.gep(place, [ir.Constant(ir.IntType(32), i)])) for i in range(3)]
+        for part in parts:
+            part.align = np.dtype(str(array.dtype)).itemsize
+
+        def chosen(a: Any, b: Any, numbers: Any) -> Any:
+            return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), 8), list(numbers)))
+
+        found = []
+        for column in range(3):
+            places = range(column, 24, 3)
+            begin = chosen(parts[0], parts[1], (place % 16 for place in places))
+            found.append(chosen(begin, parts[2], (i if place < 16 else place - 8 for i, place in enumerate(places))))
+        return context.make_tuple(builder, three, found)
+
+    return three(array, types.intp), codegen
 
 
 @intrinsic

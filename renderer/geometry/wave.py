@@ -29,7 +29,7 @@ class Wave(NamedTuple):
     scaled : (10, 64) float32 scratch: origins, directions, moments and far ends in the coordinates of `polygons`, or
         what the boxes of `streams` ask.
     candidates : (64,) int32 scratch.
-    shears, axes : (7, 64) float64 and (6, 64) int32 scratch of `streams`.
+    shears, axes : (7, 64) float64 and (6, 64) int32 scratch of `streams`; of `polygons` the first row of the shears.
     backoff : (2, 2) int64, for nearest and for any hits: how many packets more go with the stream at once, and how
         many after the next packet that does not pay.
     """
