@@ -22,7 +22,7 @@ import numpy as np
 from numba.core import config, types
 from numba.extending import models, register_model
 
-from termwise.renderer.bitcode import ForKernels
+from termwise.renderer.compiling import ForKernels, ForPython
 from termwise.scenes.store import cache_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -74,14 +74,14 @@ def closure_digest(module: str) -> str:
     return state.hexdigest()
 
 
-def _compile(function: F, folder: str = "", **options: Any) -> F:
+def _compile(function: F, folder: str = "", pipeline: type[ForPython] = ForPython, **options: Any) -> F:
     # Numba's settings are untyped attributes.
     settings = cast(Any, config)
     before = settings.CACHE_DIR
     # Set around this call only: the user's own Numba cache stays where it is.
     settings.CACHE_DIR = str(cache_folder() / "numba" / closure_digest(function.__module__)[:16] / folder)
     try:
-        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", pipeline_class=pipeline, **options)(function)
     finally:
         settings.CACHE_DIR = before
     if settings.DISABLE_JIT:
@@ -139,7 +139,7 @@ class _Device:
         functools.update_wrapper(self, function)
         self._for_kernels = _compile(
             function,
-            pipeline_class=ForKernels,
+            pipeline=ForKernels,
             _nrt=False,
             forceinline=inline,
             no_cpython_wrapper=True,
