@@ -19,7 +19,7 @@ from termwise.renderer.vector import Vec3
 from termwise.scenes.model import Camera, Scene
 
 
-@by_reference
+@by_reference()
 class ShadowRule(NamedTuple):
     """The paper's: centres (L, 3) of the lights, and each one's object (L,) int32, -1 for a point."""
 
@@ -27,7 +27,7 @@ class ShadowRule(NamedTuple):
     object: np.ndarray
 
 
-@by_reference
+@by_reference()
 class SkyArrays(NamedTuple):
     """A constant colour, or a texture (H, W, 3) on a sphere; the texture is (0, 0, 3) without one."""
 
@@ -66,7 +66,7 @@ class Skips(NamedTuple):
     pixel: bool
 
 
-@by_reference
+@by_reference()
 class SceneArrays(NamedTuple):
     """All that a kernel sees of a scene; `ambient_range` 0 means that ambient occlusion is off.
 

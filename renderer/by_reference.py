@@ -6,6 +6,8 @@ arrays hold does not; each load says so, and leaves a loop whatever that writes.
 """
 
 import hashlib
+import math
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from llvmlite import ir
@@ -36,17 +38,29 @@ class Reference(types.Type):
         return self.cls._fields.index(name)
 
 
-def by_reference(cls: C) -> C:
+def by_reference(**inner: tuple[int, ...]) -> Callable[[C], C]:
     """Have kernels take a NamedTuple of this class by reference. They read its fields, and make none themselves.
 
     One that is not so decorated is taken apart at each call: the same images, compiled in more time.
+
+    Parameters
+    ----------
+    inner : of arrays the shape behind the first axis, where it is always the same: kernels need not read how far apart
+        rows lie.
     """
 
-    def typeof(value: Any, context: Any) -> Reference:
-        return Reference(cls, tuple(typeof_impl(each, context) for each in value))
+    def decorate(cls: C) -> C:
+        def typeof(value: Any, context: Any) -> Reference:
+            return Reference(cls, tuple(typeof_impl(each, context) for each in value))
 
-    typeof_impl.register(cls)(typeof)
-    return cls
+        typeof_impl.register(cls)(typeof)
+        _INNER[cls] = inner
+        return cls
+
+    return decorate
+
+
+_INNER: dict[Any, dict[str, tuple[int, ...]]] = {}
 
 
 @register_model(Reference)
@@ -74,22 +88,48 @@ class _Fields(AttributeTemplate):
 def _field(context: Any, builder: Any, kind: Reference, pointer: Any, name: str) -> Any:
     index = kind.index(name)
     place = cgutils.gep_inbounds(builder, pointer, 0, index)
-    value = place if isinstance(kind.types[index], Reference) else _load(builder, place)
-    return impl_ret_borrowed(context, builder, kind.types[index], value)
+    field = kind.types[index]
+    value = place if isinstance(field, Reference) else _load(builder, place, _known(context, kind, index))
+    return impl_ret_borrowed(context, builder, field, value)
 
 
-def _load(builder: Any, place: Any) -> Any:
+def _known(context: Any, kind: Reference, index: int) -> dict[tuple[int, ...], int]:
+    """Numbers of an array whose inner shape is known, each by its place in what Numba has of an array."""
+    array, inner = kind.types[index], _INNER[kind.cls].get(kind.cls._fields[index])
+    if inner is None or not isinstance(array, types.Array):
+        return {}
+    model = context.data_model_manager[array]
+    size = context.get_abi_sizeof(context.get_data_type(array.dtype))
+    shape, strides = model.get_field_position("shape"), model.get_field_position("strides")
+    known = {(strides, axis): size * math.prod(inner[axis:]) for axis in range(array.ndim)}
+    return known | {(shape, axis + 1): extent for axis, extent in enumerate(inner)}
+
+
+def _load(builder: Any, place: Any, known: dict[tuple[int, ...], int], at: tuple[int, ...] = ()) -> Any:
     """What stands at a place, number by number: LLVM would take a whole apart, and forget that it stays."""
     kind = place.type.pointee
+    if at in known:
+        return ir.Constant(kind, known[at])
     if not isinstance(kind, ir.LiteralStructType | ir.ArrayType):
         value = builder.load(place)
         value.set_metadata("invariant.load", builder.module.add_metadata([]))
         return value
     value = ir.Constant(kind, ir.Undefined)
     for index in range(len(kind)):
-        inner = _load(builder, cgutils.gep_inbounds(builder, place, 0, index))
+        inner = _load(builder, cgutils.gep_inbounds(builder, place, 0, index), known, (*at, index))
         value = builder.insert_value(value, inner, index)
     return value
+
+
+def _refuse_other_shapes(c: Any, kind: Reference, index: int, place: Any, failed: Any) -> None:
+    """Raise where an array at a place is not as its class says."""
+    name = kind.cls._fields[index]
+    for at, value in _known(c.context, kind, index).items():
+        found = c.builder.load(cgutils.gep_inbounds(c.builder, place, 0, *at))
+        with cgutils.if_unlikely(c.builder, c.builder.icmp_signed("!=", found, ir.Constant(found.type, value))):
+            allowed = ", ".join(map(str, ("N", *_INNER[kind.cls][name])))
+            c.pyapi.err_set_string("PyExc_ValueError", f"{kind.cls.__name__}.{name}: the shape allowed is ({allowed})")
+            c.builder.store(cgutils.true_bit, failed)
 
 
 @unbox(Reference)
@@ -109,6 +149,7 @@ def _unbox(kind: Reference, value: Any, c: Any) -> NativeValue:
             c.builder.store(native.value, where)
             with cgutils.if_unlikely(c.builder, native.is_error):
                 c.builder.store(cgutils.true_bit, failed)
+            _refuse_other_shapes(c, kind, index, where, failed)
             held.append((each, native))
 
     def release() -> None:

@@ -11,8 +11,8 @@ from termwise.renderer.jit import device, kernel
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sobol import Sampler
-from termwise.renderer.surface import arriving_hidden, occlude_wave, trace, trace_wave
-from termwise.renderer.vector import Vec3, add, column, length, put, put_column, sub, vec3
+from termwise.renderer.surface import trace, trace_wave
+from termwise.renderer.vector import Vec3, column, length, put_column, sub, vec3
 
 # Samples of a pixel that have a camera ray each: edges need some before the rest shares.
 ALONE = 4
@@ -212,34 +212,6 @@ def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
     out[y, x, 0] += radiance.x
     out[y, x, 1] += radiance.y
     out[y, x, 2] += radiance.z
-
-
-@device
-def resolve_occlusion(
-    scene: SceneArrays, waiting: int, asking: int, far: float, coherent: bool, out: np.ndarray, scratch: Scratch
-) -> None:
-    """Add the first `waiting` samples to their pixels, in order; the first `asking` rays may hide theirs.
-
-    `far`, `coherent`: see `occlude_wave`.
-    """
-    if asking > 0:
-        occlude_wave(scene, scratch.rays, asking, far, coherent, scratch)
-        for k in range(asking):
-            if scratch.rays.found[k]:
-                lane = scratch.lane[k]
-                put(scratch.radiance, lane, _hidden(scene, scene.materials.passing, k, lane, far, scratch))
-    for i in range(waiting):
-        accumulate(out, scratch.row[i], scratch.column[i], vec3(scratch.radiance, i))
-
-
-@device
-def _hidden(scene: SceneArrays, passing: np.ndarray | None, k: int, lane: int, far: float, scratch: Scratch) -> Vec3:
-    """Radiance of a sample whose ray k something lies on."""
-    hidden = vec3(scratch.hidden, lane)
-    if passing is not None:
-        light = sub(vec3(scratch.radiance, lane), hidden)
-        return add(hidden, arriving_hidden(scene, light, scratch.rays, k, far, scratch))
-    return hidden
 
 
 class GeometryImages(NamedTuple):

@@ -8,14 +8,14 @@ import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry import simd
-from termwise.renderer.geometry.simd import choose, gather, load, minimum, rows, splat, square_root, store
+from termwise.renderer.geometry.simd import choose, load, minimum, rows, splat, square_root, store
 from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device
 from termwise.renderer.lights import BELOW_ONE, FACE, sample_light
 from termwise.renderer.material import emission
 from termwise.renderer.scratch import LightSamples
 from termwise.renderer.surface import Surface
-from termwise.renderer.vector import Vec3, column, entry, put_column, scale
+from termwise.renderer.vector import Vec3, column, entry, put_column, scale, vec3
 from termwise.renderer.warp import INV_PI
 
 _VECTORS = simd.available()
@@ -59,37 +59,46 @@ def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
     geometry, emitters = scene.geometry, scene.emitters
     corners, faces = geometry.corners, emitters.faces
     u, v = load(samples.u, k, 8), load(samples.v, k, 8)
-    zero, one, none = splat(0.0, 8), splat(1.0, 8), splat(np.int32(0), 8)
-    picked, probability = none, one
+    zero, one = splat(0.0, 8), splat(1.0, 8)
+    picked, before, probability = splat(np.int32(0), 8), zero, one
     count = len(emitters.kind)
     if count > 1:
         for index in range(1, count):
             behind = u >= splat(emitters.cdf[index], 8)
-            picked = picked + choose(behind, splat(np.int32(1), 8), none)
-        before = gather(emitters.cdf, picked)
-        probability = gather(emitters.cdf, picked + splat(np.int32(1), 8)) - before
+            picked = choose(behind, splat(np.int32(index), 8), picked)
+            before = choose(behind, splat(emitters.cdf[index], 8), before)
+        probability = zero
+    # Of few faces each in turn is put where it was picked: faster than to gather what each lane has picked.
+    a = b = c = n = zero, zero, zero
+    area, face = zero, splat(np.int32(0), 8)
+    for index in range(count):
+        mine = picked == splat(np.int32(index), 8)
+        row = entry(emitters.row, index)
+        lamp = entry(faces.face, row)
+        a = _put(mine, vec3(corners[lamp], 0), a)
+        b = _put(mine, vec3(corners[lamp], 1), b)
+        c = _put(mine, vec3(corners[lamp], 2), c)
+        n = _put(mine, vec3(geometry.normals, lamp), n)
+        area = choose(mine, splat(faces.area[row], 8), area)
+        face = choose(mine, splat(np.int32(lamp), 8), face)
+        if count > 1:
+            probability = choose(mine, splat(emitters.cdf[index + 1] - emitters.cdf[index], 8), probability)
+    if count > 1:
         u = minimum((u - before) / probability, splat(BELOW_ONE, 8))
-    row = gather(emitters.row, picked)
-    face = gather(faces.face, row)
     half = splat(0.5, 8)
     up = v > u
     # As `square_to_triangle`.
     b1 = choose(up, u * half, u - v * half)
     b2 = choose(up, v - u * half, v * half)
     b0 = one - b1 - b2
-    a = face * splat(np.int32(9), 8)
-    n = face * splat(np.int32(3), 8)
     p, normal = rows(samples.point, k), rows(samples.normal, k)
-    x = _blend(corners, a, b0, b1, b2) - p[0]
-    y = _blend(corners, a + splat(np.int32(1), 8), b0, b1, b2) - p[1]
-    z = _blend(corners, a + splat(np.int32(2), 8), b0, b1, b2) - p[2]
-    nx = gather(geometry.normals, n)
-    ny = gather(geometry.normals, n + splat(np.int32(1), 8))
-    nz = gather(geometry.normals, n + splat(np.int32(2), 8))
-    cos_light = simd.negative(nx * x + ny * y + nz * z)
+    x = b0 * a[0] + b1 * b[0] + b2 * c[0] - p[0]
+    y = b0 * a[1] + b1 * b[1] + b2 * c[1] - p[1]
+    z = b0 * a[2] + b1 * b[2] + b2 * c[2] - p[2]
+    cos_light = simd.negative(n[0] * x + n[1] * y + n[2] * z)
     square = x * x + y * y + z * z
     distance = square_root(square)
-    strength = splat(INV_PI, 8) * gather(faces.area, row) * cos_light / (distance * probability)
+    strength = splat(INV_PI, 8) * area * cos_light / (distance * probability)
     cos_surface = normal[0] * x + normal[1] * y + normal[2] * z
     strength = strength * (cos_surface / (square * distance))
     lit = (cos_light > zero) & (cos_surface > zero)
@@ -103,8 +112,10 @@ def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
 
 
 @device
-def _blend(corners: np.ndarray, first: int, b0: int, b1: int, b2: int) -> int:
-    """A coordinate of a point of each lane's face: `first` is where that of corner 0 lies."""
-    b = first + splat(np.int32(3), 8)
-    c = b + splat(np.int32(3), 8)
-    return b0 * gather(corners, first) + b1 * gather(corners, b) + b2 * gather(corners, c)
+def _put(mine: int, v: Vec3, rest: tuple) -> tuple:
+    """A vector in the lanes of a mask, the rest in the others."""
+    return (
+        choose(mine, splat(v.x, 8), rest[0]),
+        choose(mine, splat(v.y, 8), rest[1]),
+        choose(mine, splat(v.z, 8), rest[2]),
+    )

@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # they hold what is defined here
     from termwise.renderer.surface import Surface
 
 
-@by_reference
+@by_reference(transmission=(3,))
 class Dielectrics(NamedTuple):
     """The surfaces of each object that reflect, and let through, as dielectrics do.
 
@@ -50,7 +50,7 @@ class Dielectrics(NamedTuple):
     transmission: np.ndarray
 
 
-@by_reference
+@by_reference(color=(3,), diffuse=(3,), f0=(3,), emission=(3,), open=(2,), passing=(3,))
 class Materials(NamedTuple):
     """What surfaces of each object do to light, the spheres' behind the others; emitters are black.
 

@@ -18,11 +18,17 @@ from termwise.renderer.triangles import Geometry
 from termwise.renderer.vector import Vec3, column, dot, entry, is_black, scale, sub, vec3
 
 
-@subroutine
+@device
 def estimate_irradiance(scene: SceneArrays, photons: PhotonMap, surface: Surface, scratch: Scratch) -> Vec3:
     """E at a surface point by the map's kernel, divided by its mass on the surface."""
+    # Asked here, where there are none not even the call is made.
     if len(photons.face) == 0:
         return Vec3(0.0, 0.0, 0.0)
+    return _estimate(scene, photons, surface, scratch)
+
+
+@subroutine
+def _estimate(scene: SceneArrays, photons: PhotonMap, surface: Surface, scratch: Scratch) -> Vec3:
     scratch.counts[DENSITY_ESTIMATES] += 1
     x, radius = surface.point, photons.radius
     flux = _weighted_flux(scene.geometry, photons, surface, scratch.lanes)

@@ -28,7 +28,7 @@ _PLACED = 1 << 16  # photons that a thread copies at a time
 KEPT_BYTES = 1 << 28
 
 
-@by_reference
+@by_reference()
 class PhotonMap(NamedTuple):
     """Photons sorted by grid cell.
 

@@ -18,7 +18,7 @@ COUNTERS = ("rays", "occlusion rays", "photons", "density estimates")
 RAYS, OCCLUSION_RAYS, PHOTONS, DENSITY_ESTIMATES = range(len(COUNTERS))
 
 
-@by_reference
+@by_reference()
 class Seen(NamedTuple):
     """What the camera rays of one replicate meet, kept for the terms that follow: all terms look along the same rays.
 
@@ -46,7 +46,7 @@ NOTHING_SEEN = new_seen(0, 0, 0)
 NO_SAMPLES = np.zeros((0, 0), np.int32)
 
 
-@by_reference
+@by_reference(point=(SIZE,), normal=(SIZE,), way=(SIZE,), irradiance=(SIZE,))
 class LightSamples(NamedTuple):
     """Points that ask for light, and one sample of it for each.
 
@@ -80,7 +80,7 @@ def _new_light_samples() -> LightSamples:
     return LightSamples(*map(on_own_lines, arrays))
 
 
-@by_reference
+@by_reference(radiance=(3,), weight=(3,), lanes=(8,))
 class Scratch(NamedTuple):
     """Memory of one thread.
 
@@ -91,10 +91,11 @@ class Scratch(NamedTuple):
     primary : the rays through a pixel and what they meet.
     x, y, pixel, index : (64,) each, int64 but for the uint64 of `pixel`: of each primary hit the pixel's column and
         row, the key of the pixel's randomness, and its number within the pixel.
-    column, row : (64,) int64 each, the pixel of each sample that waits for its occlusion ray.
-    radiance, hidden : (64, 3) float64, what such a sample adds to its pixel, and what if its ray meets something.
-    rays : the occlusion rays; `lane` (64,) int64 is the sample of each, `share` (64,) float64 the translucency where it
-        begins, or the share of the side that a light sample is of.
+    column, row : (64,) int64 each, the pixel of each that waits: of a primary hit, or of a light sample.
+    radiance, weight : (64, 3) float64, what it receives, and by what that, or a ray's light, is multiplied.
+    number, asks : (64,) int64 and bool, how many samples a primary hit is for, and whether they have rays.
+    rays : the occlusion rays; `lane` (64,) int64 is the light sample of each, `share` (64,) float64 the translucency
+        where it begins, or the share of the side that a light sample is of.
     key, sample : (64,) uint64 and uint32, the randomness of each occlusion ray.
     u, v : (64,) float64 each, points of the unit square: of the camera rays, then of what leaves their hits.
     samples : points that ask for light.
@@ -113,7 +114,9 @@ class Scratch(NamedTuple):
     column: np.ndarray
     row: np.ndarray
     radiance: np.ndarray
-    hidden: np.ndarray
+    weight: np.ndarray
+    number: np.ndarray
+    asks: np.ndarray
     rays: Wave
     lane: np.ndarray
     share: np.ndarray
@@ -146,6 +149,8 @@ def new_scratch() -> Scratch:
         _zeros(SIZE, np.int64),
         _zeros((SIZE, 3)),
         _zeros((SIZE, 3)),
+        _zeros(SIZE, np.int64),
+        _zeros(SIZE, np.bool_),
         new_wave(),
         _zeros(SIZE, np.int64),
         _zeros(SIZE),

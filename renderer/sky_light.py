@@ -29,7 +29,7 @@ _BELOW_ONE = 1.0 - 2.0**-53
 _FLOOR = 1e-3  # of the mean: the least that a texel weighs, so that none is out of reach
 
 
-@by_reference
+@by_reference()
 class SkyMap(NamedTuple):
     """Where the sky is bright.
 

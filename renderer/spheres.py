@@ -18,7 +18,7 @@ from termwise.renderer.warp import sin_cos_turn
 from termwise.scenes.model import Scene
 
 
-@by_reference
+@by_reference()
 class Spheres(NamedTuple):
     """The spheres of a scene: centers (S, 3), radii (S,), and the number that the first has among faces."""
 

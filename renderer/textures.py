@@ -18,7 +18,7 @@ from termwise.scenes.model import Scene
 from termwise.scenes.textures import Texture
 
 
-@by_reference
+@by_reference()
 class Textures(NamedTuple):
     """The images of a scene, one behind the other, each once.
 

@@ -15,7 +15,7 @@ from termwise.renderer.vector import Vec3, normalize, vec3
 from termwise.scenes.model import Mesh, Scene
 
 
-@by_reference
+@by_reference(corners=(3, 3), normals=(3,), shading=(3, 3))
 class Geometry(NamedTuple):
     """What the kernels know of the triangles.
 

@@ -23,7 +23,7 @@ _HALVING_DEPTH = 48
 __all__ = ["STACK_SIZE", "Tree", "build", "bytes_of"]
 
 
-@by_reference
+@by_reference()
 class Tree(NamedTuple):
     """Nodes in preorder: the left child of node i is i + 1.
 

@@ -40,7 +40,7 @@ DEEPEST = WIDTH * MAX_DEPTH + WIDTH
 STACK_SIZE = 2 * 64 * DEEPEST + 2048
 
 
-@by_reference
+@by_reference()
 class Bvh8(NamedTuple):
     """The tree; its coordinates are `(x - center) scale`, in [-1, 1].
 

@@ -31,7 +31,6 @@ from termwise.renderer.geometry.bvh8_traverse import Shear, distances, edges
 from termwise.renderer.geometry.intersect import FaceRange, Ray, component
 from termwise.renderer.geometry.simd import (
     bits,
-    broadcast,
     choose,
     fma,
     fms,
@@ -73,7 +72,7 @@ _EDGES, _NORMAL, _HEIGHT, _BOUNDS, _LOW, _HIGH, _PLANE, _TILT, _ROWS = 0, 18, 21
 _NOWHERE = 2e30
 
 
-@by_reference
+@by_reference()
 class Polygons(NamedTuple):
     """Triangles and parallelograms; nothing where there are too many.
 
@@ -287,43 +286,39 @@ def _polygon(polygons: Polygons, number: int) -> Tested:
     e = number + _EDGES * s
     return Tested(
         (
-            broadcast(t, e, 16),
-            broadcast(t, e + s, 16),
-            broadcast(t, e + 2 * s, 16),
-            broadcast(t, e + 3 * s, 16),
-            broadcast(t, e + 4 * s, 16),
-            broadcast(t, e + 5 * s, 16),
+            splat(t[e], 16),
+            splat(t[e + s], 16),
+            splat(t[e + 2 * s], 16),
+            splat(t[e + 3 * s], 16),
+            splat(t[e + 4 * s], 16),
+            splat(t[e + 5 * s], 16),
         ),
         (
-            broadcast(t, e + 6 * s, 16),
-            broadcast(t, e + 7 * s, 16),
-            broadcast(t, e + 8 * s, 16),
-            broadcast(t, e + 9 * s, 16),
-            broadcast(t, e + 10 * s, 16),
-            broadcast(t, e + 11 * s, 16),
+            splat(t[e + 6 * s], 16),
+            splat(t[e + 7 * s], 16),
+            splat(t[e + 8 * s], 16),
+            splat(t[e + 9 * s], 16),
+            splat(t[e + 10 * s], 16),
+            splat(t[e + 11 * s], 16),
         ),
         (
-            broadcast(t, e + 12 * s, 16),
-            broadcast(t, e + 13 * s, 16),
-            broadcast(t, e + 14 * s, 16),
-            broadcast(t, e + 15 * s, 16),
-            broadcast(t, e + 16 * s, 16),
-            broadcast(t, e + 17 * s, 16),
+            splat(t[e + 12 * s], 16),
+            splat(t[e + 13 * s], 16),
+            splat(t[e + 14 * s], 16),
+            splat(t[e + 15 * s], 16),
+            splat(t[e + 16 * s], 16),
+            splat(t[e + 17 * s], 16),
         ),
+        (splat(t[e + _NORMAL * s], 16), splat(t[e + (_NORMAL + 1) * s], 16), splat(t[e + (_NORMAL + 2) * s], 16)),
+        splat(t[e + _HEIGHT * s], 16),
         (
-            broadcast(t, e + _NORMAL * s, 16),
-            broadcast(t, e + (_NORMAL + 1) * s, 16),
-            broadcast(t, e + (_NORMAL + 2) * s, 16),
-        ),
-        broadcast(t, e + _HEIGHT * s, 16),
-        (
-            broadcast(t, e + _BOUNDS * s, 16),
-            broadcast(t, e + (_BOUNDS + 1) * s, 16),
-            broadcast(t, e + (_BOUNDS + 2) * s, 16),
-            broadcast(t, e + (_BOUNDS + 3) * s, 16),
+            splat(t[e + _BOUNDS * s], 16),
+            splat(t[e + (_BOUNDS + 1) * s], 16),
+            splat(t[e + (_BOUNDS + 2) * s], 16),
+            splat(t[e + (_BOUNDS + 3) * s], 16),
         ),
         splat(number < polygons.pairs, 16),
-        (broadcast(polygons.members, number, 16), broadcast(polygons.members, s + number, 16)),
+        (splat(polygons.members[0, number], 16), splat(polygons.members[1, number], 16)),
     )
 
 
@@ -591,8 +586,8 @@ def _backs(polygons: Polygons, wave: Wave, count: int, b: Bounds) -> int:
                 if 0 <= wave.target[i] < len(polygons.piece):
                     hidden &= ~polygons.piece[wave.target[i]]
                 # Rays that pass and aim at the same are done with it.
-                same = (first == broadcast(wave.first, i, 16)) & (end == broadcast(wave.end, i, 16))
-                left &= ~bits(same & (target == broadcast(wave.target, i, 16)))
+                same = (first == splat(wave.first[i], 16)) & (end == splat(wave.end[i], 16))
+                left &= ~bits(same & (target == splat(wave.target[i], 16)))
     return hidden
 
 
@@ -719,12 +714,12 @@ def _turned(v: tuple, along_y: int, along_z: int, back: int) -> tuple:
 
 
 @device
-def _corner(corners: np.ndarray, start: int, mine: int, others: tuple) -> tuple:
-    """The corner that begins at an entry, in the lanes `mine`."""
+def _corner(corners: np.ndarray, face: int, corner: int, mine: int, others: tuple) -> tuple:
+    """A corner of a face, in the lanes `mine`."""
     return (
-        choose(mine, broadcast(corners, start, 8), others[0]),
-        choose(mine, broadcast(corners, start + 1, 8), others[1]),
-        choose(mine, broadcast(corners, start + 2, 8), others[2]),
+        choose(mine, splat(corners[face, corner, 0], 8), others[0]),
+        choose(mine, splat(corners[face, corner, 1], 8), others[1]),
+        choose(mine, splat(corners[face, corner, 2], 8), others[2]),
     )
 
 
@@ -745,9 +740,9 @@ def _put_hits(corners: np.ndarray, wave: Wave, k: int, far: float) -> None:
         one = entry(wave.face, k + lowest_bit(left))
         mine = face == splat(np.int32(one), 8)
         left &= ~bits(mine)
-        a = _corner(corners, 9 * one, mine, a)
-        b = _corner(corners, 9 * one + 3, mine, b)
-        c = _corner(corners, 9 * one + 6, mine, c)
+        a = _corner(corners, one, 0, mine, a)
+        b = _corner(corners, one, 1, mine, b)
+        c = _corner(corners, one, 2, mine, c)
     o, d = rows(wave.origins, k), rows(wave.directions, k)
     along_y = magnitude(d[1]) > magnitude(d[0])
     main = choose(along_y, d[1], d[0])

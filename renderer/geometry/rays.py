@@ -176,10 +176,9 @@ def closest_hits(
         count = min(SIZE, len(origins) - row)
         _load_wave(origins, directions, row, count, wave)
         closest_hits_of_wave(corners, tree, wave, count, far, coherent, stack)
-        # Unsigned, for each entry is asked whether it is counted from the end, and scattered, where that may be.
-        for i in range(np.uint64(count)):
-            t[np.uint64(row) + i] = wave.t[i]
-            face[np.uint64(row) + i] = wave.face[i]
+        for i in range(count):
+            t[row + i] = wave.t[i]
+            face[row + i] = wave.face[i]
 
 
 @kernel
@@ -199,8 +198,8 @@ def any_hits(
         count = min(SIZE, len(origins) - row)
         _load_wave(origins, directions, row, count, wave)
         any_hits_of_wave(corners, tree, wave, count, far, coherent, stack)
-        for i in range(np.uint64(count)):
-            found[np.uint64(row) + i] = wave.found[i]
+        for i in range(count):
+            found[row + i] = wave.found[i]
 
 
 @kernel

@@ -182,14 +182,6 @@ def store(typingctx: Any, array: Any, start: Any, vector: Any) -> Any:
     return types.void(array, types.intp, vector), codegen
 
 
-def _in_all_lanes(builder: Any, value: Any, kind: Any) -> Any:
-    empty = ir.Constant(kind, ir.Undefined)
-    first = builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(
-        first, empty, ir.Constant(ir.VectorType(ir.IntType(32), kind.count), [0] * kind.count)
-    )
-
-
 @intrinsic(prefer_literal=True)
 def splat(typingctx: Any, value: Any, lanes: Any) -> Any:
     """The same number in all lanes."""
@@ -198,26 +190,13 @@ def splat(typingctx: Any, value: Any, lanes: Any) -> Any:
     vector = Vector(value, _literal(lanes))
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _in_all_lanes(builder, args[0], context.get_value_type(vector))
+        kind = context.get_value_type(vector)
+        empty = ir.Constant(kind, ir.Undefined)
+        first = builder.insert_element(empty, args[0], ir.Constant(ir.IntType(32), 0))
+        lane = ir.Constant(ir.VectorType(ir.IntType(32), vector.lanes), [0] * vector.lanes)
+        return builder.shuffle_vector(first, empty, lane)
 
     return vector(value, lanes), codegen
-
-
-@intrinsic(prefer_literal=True)
-def broadcast(typingctx: Any, array: Any, index: Any, lanes: Any) -> Any:
-    """An entry of a C-contiguous array, counted over all of it, in all lanes.
-
-    `splat(array[index], lanes)` asks first whether the index is negative, which takes longer than to load the entry.
-    """
-    if not (isinstance(array, types.Array) and array.layout == "C" and isinstance(lanes, types.IntegerLiteral)):
-        return None
-    vector = Vector(array.dtype, _literal(lanes))
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        place = builder.gep(_data(context, builder, sig, args), [args[1]], inbounds=True)
-        return _in_all_lanes(builder, builder.load(place), context.get_value_type(vector))
-
-    return vector(array, types.intp, lanes), codegen
 
 
 @intrinsic(prefer_literal=True)

@@ -15,7 +15,7 @@ SIZE = 64
 BACKOFF = 4
 
 
-@by_reference
+@by_reference(origins=(SIZE,), directions=(SIZE,), scaled=(SIZE,), shears=(SIZE,), axes=(SIZE,), backoff=(2,))
 class Wave(NamedTuple):
     """Rays and what they meet; a part of them counts, the first ones.
 

@@ -42,7 +42,7 @@ KINDS = (point, face, spot, directional, sun, sphere)
 POINT, FACE, SPOT, DIRECTIONAL, SUN, SPHERE = range(len(KINDS))
 
 
-@by_reference
+@by_reference()
 class Emitters(NamedTuple):
     """All emitters of a scene.
 

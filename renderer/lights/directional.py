@@ -25,7 +25,7 @@ SOURCE = DirectionalLight
 DRAWS = False
 
 
-@by_reference
+@by_reference()
 class Directionals(NamedTuple):
     """The directional lights of a scene.
 

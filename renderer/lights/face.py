@@ -29,7 +29,7 @@ SOURCE = Object
 DRAWS = True
 
 
-@by_reference
+@by_reference()
 class Faces(NamedTuple):
     """The emitting faces of a scene.
 

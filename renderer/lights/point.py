@@ -23,7 +23,7 @@ SOURCE = PointLight
 DRAWS = False
 
 
-@by_reference
+@by_reference()
 class Points(NamedTuple):
     """The point lights of a scene.
 

@@ -24,7 +24,7 @@ SOURCE = SphereLight
 DRAWS = True
 
 
-@by_reference
+@by_reference()
 class SphereLights(NamedTuple):
     """The spheres of a scene that shine.
 

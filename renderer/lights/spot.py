@@ -26,7 +26,7 @@ SOURCE = SpotLight
 DRAWS = False
 
 
-@by_reference
+@by_reference()
 class Spots(NamedTuple):
     """The spot lights of a scene.
 

@@ -26,7 +26,7 @@ SOURCE = SunLight
 DRAWS = True
 
 
-@by_reference
+@by_reference()
 class Suns(NamedTuple):
     """The suns of a scene.
 

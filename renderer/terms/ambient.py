@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import next_hits, no_hits, resolve_occlusion, samples_of
+from termwise.renderer.film import next_hits, no_hits, samples_of
 from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sampled_side, sees_all_ambient, side_of, whole_color
@@ -30,10 +30,31 @@ from termwise.renderer.scratch import Scratch
 from termwise.renderer.sky import sky_radiance
 from termwise.renderer.sky_light import SkyMap, sky_light
 from termwise.renderer.sobol import Sampler, draw_2d, sample_2d
-from termwise.renderer.surface import Surface, arriving, put_occlusion_ray, shadowed, surface_of
+from termwise.renderer.surface import (
+    Surface,
+    arriving,
+    arriving_hidden,
+    occlude_wave,
+    put_occlusion_ray,
+    shadowed,
+    surface_of,
+)
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
-from termwise.renderer.vector import Vec3, column, frame, is_black, mul, negate, put, put_column, scale, to_world, vec3
+from termwise.renderer.vector import (
+    Vec3,
+    add,
+    column,
+    frame,
+    is_black,
+    mul,
+    negate,
+    put,
+    put_column,
+    scale,
+    to_world,
+    vec3,
+)
 from termwise.renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
@@ -125,20 +146,33 @@ def ambient_radiance(
 
 
 @device
-def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratch) -> None:
-    """Draw the directions of the first `asking` occlusion rays, which are their normals before, and weigh their light.
-
-    Loops of their own: those that draw and map eight points are vectorised.
-    """
-    draw_2d(scratch.key, scratch.sample, asking, OCCLUSION, scratch.u, scratch.v)
-    _choose_sides(scene.materials.translucency, asking, scratch)
-    _weigh(scene, scene.sky_map, rule, asking, scratch)
+def _ask(scene: SceneArrays, surface: Surface, i: int, samples: tuple[int, int], asking: int, scratch: Scratch) -> int:
+    """Let the rays of some samples of primary hit i wait, behind `asking` others; how many wait then."""
+    for sample in range(samples[0], samples[1]):
+        # Its direction is the normal until `_draw_directions` has drawn one.
+        put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
+        _keep_share(scene.materials.translucency, asking, surface, scratch)
+        scratch.key[asking] = scratch.pixel[i]
+        scratch.sample[asking] = sample
+        asking += 1
+    return asking
 
 
 @device
 def _keep_share(translucency: np.ndarray | None, asking: int, surface: Surface, scratch: Scratch) -> None:
     if translucency is not None:
         scratch.share[asking] = translucency[surface.object]
+
+
+@device
+def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratch) -> None:
+    """Draw the directions of the first `asking` occlusion rays, which are their normals before, and weights.
+
+    Loops of their own: those that draw and map eight points are vectorised.
+    """
+    draw_2d(scratch.key, scratch.sample, asking, OCCLUSION, scratch.u, scratch.v)
+    _choose_sides(scene.materials.translucency, asking, scratch)
+    _map(scene, scene.sky_map, rule, asking, scratch)
 
 
 @device
@@ -152,22 +186,53 @@ def _choose_sides(translucency: np.ndarray | None, asking: int, scratch: Scratch
 
 
 @device
-def _weigh(scene: SceneArrays, sky_map: SkyMap | None, rule: int, asking: int, scratch: Scratch) -> None:
-    directions, weights = scratch.rays.directions, scratch.u
+def _map(scene: SceneArrays, sky_map: SkyMap | None, rule: int, asking: int, scratch: Scratch) -> None:
+    """Directions by their points of the unit square, and weights: `scratch.u`, of a sky's light `scratch.weight`."""
+    directions = scratch.rays.directions
     if sky_map is not None:
         for k in range(asking):
             origin, normal = column(scratch.rays.origins, k), column(directions, k)
             direction, weight = _by_direction(scene, sky_map, rule, origin, normal, scratch.u[k], scratch.v[k])
             put_column(directions, k, direction)
-            lane = scratch.lane[k]
-            put(scratch.radiance, lane, mul(vec3(scratch.radiance, lane), weight))
+            put(scratch.weight, k, weight)
         return
     for k in range(asking):
-        direction, weights[k] = ambient_direction(scene, rule, column(directions, k), scratch.u[k], scratch.v[k])
+        direction, scratch.u[k] = ambient_direction(scene, rule, column(directions, k), scratch.u[k], scratch.v[k])
         put_column(directions, k, direction)
-    for k in range(asking):
-        lane = scratch.lane[k]
-        put(scratch.radiance, lane, scale(vec3(scratch.radiance, lane), weights[k]))
+
+
+@device
+def _passing(
+    scene: SceneArrays, sky_map: SkyMap | None, passing: np.ndarray | None, k: int, far: float, scratch: Scratch
+) -> Vec3:
+    """What ray k lets pass of light of radiance 1, or of the sky's."""
+    weight = Vec3(scratch.u[k], scratch.u[k], scratch.u[k])
+    if sky_map is not None:
+        weight = vec3(scratch.weight, k)
+    found = scratch.rays.found[k]
+    if passing is not None and found:
+        return arriving_hidden(scene, weight, scratch.rays, k, far, scratch)
+    # Weights are finite; a branch would be guessed wrong as often as not.
+    return scale(weight, 0.0 if found else 1.0)
+
+
+@device
+def _resolve(scene: SceneArrays, waiting: int, asking: int, far: float, out: np.ndarray, scratch: Scratch) -> None:
+    """Add to their pixels, in order, the first `waiting` hits: their light times the weights of rays that pass."""
+    if asking > 0:
+        occlude_wave(scene, scratch.rays, asking, far, False, scratch)
+    k = 0
+    for j in range(waiting):
+        x, y, radiance = scratch.column[j], scratch.row[j], vec3(scratch.radiance, j)
+        total = vec3(out[y], x)
+        # Sample by sample: a run in parts has the bits of the whole.
+        for _ in range(scratch.number[j]):
+            light = radiance
+            if scratch.asks[j]:
+                light = mul(radiance, _passing(scene, scene.sky_map, scene.materials.passing, k, far, scratch))
+                k += 1
+            total = add(total, light)
+        put(out[y], x, total)
 
 
 @kernel
@@ -186,24 +251,18 @@ def _occlusion(
             if surface.face >= 0:
                 radiance, asks = ambient_light(scene, rule, surface, shadowed(scene, surface, scratch))
                 x, y = scratch.x[i], scratch.y[i]
-                begin, end = samples_of(scratch.index[i], hits.split, scratch.begin[y, x], scratch.end[y, x])
-                for sample in range(begin, end):
-                    scratch.column[waiting] = x
-                    scratch.row[waiting] = y
-                    if asks:
-                        # Its direction is the normal until `_draw_directions` has drawn one.
-                        put_occlusion_ray(scene, scratch.rays, asking, surface, surface.normal, -1)
-                        _keep_share(scene.materials.translucency, asking, surface, scratch)
-                        scratch.lane[asking] = waiting
-                        scratch.key[asking] = scratch.pixel[i]
-                        scratch.sample[asking] = sample
-                        asking += 1
-                    put(scratch.radiance, waiting, radiance)
-                    put(scratch.hidden, waiting, Vec3(0.0, 0.0, 0.0))
-                    waiting += 1
-            if waiting + hits.split > SIZE or (hits.ends_tile and i + 1 == hits.count):
+                samples = samples_of(scratch.index[i], hits.split, scratch.begin[y, x], scratch.end[y, x])
+                scratch.column[waiting] = x
+                scratch.row[waiting] = y
+                scratch.number[waiting] = samples[1] - samples[0]
+                scratch.asks[waiting] = asks
+                put(scratch.radiance, waiting, radiance)
+                waiting += 1
+                if asks:
+                    asking = _ask(scene, surface, i, samples, asking, scratch)
+            if waiting == SIZE or asking + hits.split > SIZE or (hits.ends_tile and i + 1 == hits.count):
                 _draw_directions(scene, rule, asking, scratch)
-                resolve_occlusion(scene, waiting, asking, ambient_reach(scene, rule), False, out, scratch)
+                _resolve(scene, waiting, asking, ambient_reach(scene, rule), out, scratch)
                 waiting = 0
                 asking = 0
 

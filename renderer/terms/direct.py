@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, SceneArrays
-from termwise.renderer.film import accumulate, next_hits, no_hits, resolve_occlusion
+from termwise.renderer.film import accumulate, next_hits, no_hits
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device, kernel
@@ -219,49 +219,64 @@ def direct_nearest(
 
 
 @device
-def _of_side(translucency: np.ndarray | None, straight: Vec3, share: float) -> Vec3:
-    """What one side of a surface receives, times its share."""
-    return straight if translucency is None else scale(straight, share)
+def _of_side(translucency: np.ndarray | None, straight: Vec3, i: int, scratch: Scratch) -> Vec3:
+    """What the side that i waits for receives, times its share."""
+    if translucency is None:
+        return straight
+    return scale(straight, scratch.share[i])
 
 
 @device
 def _light(scene: SceneArrays, waiting: int, out: np.ndarray, scratch: Scratch) -> None:
-    """Sample the light of the points that wait, weights in `radiance` and E that was scattered in `hidden`, and add it.
+    """Sample the light of the points that wait, weights in `weight` and E that was scattered in `radiance`, and add it.
 
     In the order in which they wait, each to its pixel.
     """
     samples = scratch.samples
     if scene.emitters.drawn:
         draw_2d(scratch.key, scratch.sample, waiting, LIGHT, samples.u, samples.v)
-    sample_lights(scene, samples, waiting)
+    _arrive(scene, waiting, True, scratch)
     share = 1.0 / scene.light_samples
-    asking = 0
     for i in range(waiting):
-        weight, bounced, straight = vec3(scratch.radiance, i), vec3(scratch.hidden, i), column(samples.irradiance, i)
-        straight = _of_side(scene.materials.translucency, straight, scratch.share[i])
-        put(scratch.hidden, i, scale(_reflected(scene, weight, Vec3(0.0, 0.0, 0.0), bounced), share))
-        put(scratch.radiance, i, scale(_reflected(scene, weight, straight, bounced), share))
-        if not (scene.skips.horizon and is_black(straight)):
-            put_leaving_ray(scene, scratch.rays, asking, column(samples.point, i), entry(samples.face, i))
+        straight = _of_side(scene.materials.translucency, column(samples.irradiance, i), i, scratch)
+        radiance = _reflected(scene, vec3(scratch.weight, i), straight, vec3(scratch.radiance, i))
+        accumulate(out, scratch.row[i], scratch.column[i], scale(radiance, share))
+
+
+@device
+def _arrive(scene: SceneArrays, count: int, coherent: bool, scratch: Scratch) -> None:
+    """Sample E / pi at the first `count` points of `scratch.samples`; black at those of no face."""
+    samples = scratch.samples
+    sample_lights(scene, samples, count)
+    asking = 0
+    for i in range(count):
+        face = entry(samples.face, i)
+        if face < 0:
+            put_column(samples.irradiance, i, Vec3(0.0, 0.0, 0.0))
+        elif not (scene.skips.horizon and is_black(column(samples.irradiance, i))):
+            put_leaving_ray(scene, scratch.rays, asking, column(samples.point, i), face)
             put_column(scratch.rays.directions, asking, column(samples.way, i))
             scratch.rays.target[asking] = samples.target[i]
             scratch.lane[asking] = i
             asking += 1
-    resolve_occlusion(scene, waiting, asking, 1.0, True, out, scratch)
+    if asking > 0:
+        occlude_wave(scene, scratch.rays, asking, 1.0, coherent, scratch)
+    for k in range(asking):
+        if scratch.rays.found[k]:
+            i = scratch.lane[k]
+            hidden = arriving_hidden(scene, column(samples.irradiance, i), scratch.rays, k, 1.0, scratch)
+            put_column(samples.irradiance, i, hidden)
 
 
 @device
-def _wait(
-    i: int, number: int, surface: Surface, weight: Vec3, bounced: Vec3, share: float, waiting: int, scratch: Scratch
-) -> int:
+def _wait(i: int, number: int, surface: Surface, weight: Vec3, bounced: Vec3, waiting: int, scratch: Scratch) -> int:
     """Let light sample `number` of primary hit i wait, of the side of `surface`; how many wait then."""
     scratch.column[waiting] = scratch.x[i]
     scratch.row[waiting] = scratch.y[i]
     scratch.key[waiting] = scratch.pixel[i]
     scratch.sample[waiting] = number
-    scratch.share[waiting] = share
-    put(scratch.radiance, waiting, weight)
-    put(scratch.hidden, waiting, bounced)
+    put(scratch.weight, waiting, weight)
+    put(scratch.radiance, waiting, bounced)
     put_column(scratch.samples.point, waiting, surface.point)
     put_column(scratch.samples.normal, waiting, surface.normal)
     scratch.samples.face[waiting] = surface.face
@@ -280,12 +295,14 @@ def _wait_on_both(
     scratch: Scratch,
 ) -> int:
     if translucency is None:
-        return _wait(i, number, surface, weight, bounced, 1.0, waiting, scratch)
+        return _wait(i, number, surface, weight, bounced, waiting, scratch)
     share = translucency[surface.object]
-    waiting = _wait(i, number, surface, weight, bounced, 1.0 - share, waiting, scratch)
+    scratch.share[waiting] = 1.0 - share
+    waiting = _wait(i, number, surface, weight, bounced, waiting, scratch)
     if share == 0.0:
         return waiting
-    return _wait(i, number, turned(surface), weight, Vec3(0.0, 0.0, 0.0), share, waiting, scratch)
+    scratch.share[waiting] = share
+    return _wait(i, number, turned(surface), weight, Vec3(0.0, 0.0, 0.0), waiting, scratch)
 
 
 @device
@@ -361,36 +378,6 @@ def _put_place(paths: _Paths, path: int, surface: Surface) -> None:
 
 
 @device
-def _arrive(scene: SceneArrays, count: int, coherent: bool, scratch: Scratch) -> None:
-    """E / pi at the points of `scratch.samples`, to `scratch.radiance`; black at those of no face."""
-    samples = scratch.samples
-    sample_lights(scene, samples, count)
-    asking = 0
-    for k in range(count):
-        straight = column(samples.irradiance, k)
-        face = entry(samples.face, k)
-        if face < 0:
-            straight = Vec3(0.0, 0.0, 0.0)
-        put(scratch.radiance, k, straight)
-        if face >= 0 and not (scene.skips.horizon and is_black(straight)):
-            put_leaving_ray(scene, scratch.rays, asking, column(samples.point, k), face)
-            put_column(scratch.rays.directions, asking, column(samples.way, k))
-            scratch.rays.target[asking] = samples.target[k]
-            scratch.lane[asking] = k
-            asking += 1
-    if asking > 0:
-        occlude_wave(scene, scratch.rays, asking, 1.0, coherent, scratch)
-    for k in range(asking):
-        if scratch.rays.found[k]:
-            lane = scratch.lane[k]
-            put(
-                scratch.radiance,
-                lane,
-                arriving_hidden(scene, vec3(scratch.radiance, lane), scratch.rays, k, 1.0, scratch),
-            )
-
-
-@device
 def _arrive_behind(
     scene: SceneArrays,
     translucency: np.ndarray | None,
@@ -404,17 +391,17 @@ def _arrive_behind(
     if translucency is not None:
         samples = scratch.samples
         for k in range(count):
-            put(scratch.hidden, k, vec3(scratch.radiance, k))
+            put(scratch.radiance, k, column(samples.irradiance, k))
             scratch.share[k] = translucency[entry(paths.object, paths.alive[begin + k])]
             put_column(samples.normal, k, negate(column(samples.normal, k)))
             if scratch.share[k] == 0.0:
                 samples.face[k] = -1
         _arrive(scene, count, coherent, scratch)
         for k in range(count):
-            front = vec3(scratch.hidden, k)
+            front = vec3(scratch.radiance, k)
             if scratch.share[k] > 0.0:
-                front = _of_both(front, vec3(scratch.radiance, k), scratch.share[k])
-            put(scratch.radiance, k, front)
+                front = _of_both(front, column(samples.irradiance, k), scratch.share[k])
+            put_column(samples.irradiance, k, front)
 
 
 @device
@@ -435,7 +422,7 @@ def _gather(scene: SceneArrays, paths: _Paths, begin: int, count: int, coherent:
     _arrive_behind(scene, scene.materials.translucency, paths, begin, count, coherent, scratch)
     for k in range(count):
         path = paths.alive[begin + k]
-        gained = gain(vec3(paths.throughput, path), vec3(scratch.radiance, k))
+        gained = gain(vec3(paths.throughput, path), column(samples.irradiance, k))
         put(paths.radiance, path, add(vec3(paths.radiance, path), gained))
 
 

@@ -6,6 +6,7 @@ load that is moved over a write, or an array that is never freed would show in n
 
 import gc
 import os
+import re
 import sys
 import weakref
 from typing import NamedTuple
@@ -25,14 +26,20 @@ class _Pair(NamedTuple):
     second: int
 
 
-@by_reference
+@by_reference()
 class _Inner(NamedTuple):
     flags: np.ndarray
     numbers: np.ndarray
     weight: Vec3
 
 
-@by_reference
+@by_reference(rows=(3,), corners=(3, 2))
+class _Known(NamedTuple):
+    rows: np.ndarray
+    corners: np.ndarray | None
+
+
+@by_reference()
 class _Outer(NamedTuple):
     on: bool
     missing: _Inner | None
@@ -90,6 +97,19 @@ def outer(*, on: bool = True, missing: _Inner | None = None) -> _Outer:
     return _Outer(on, missing, inner, _Pair(np.arange(4, dtype=np.int32).reshape(2, 2), 7), 9.0)
 
 
+@kernel
+def _sum(known: _Known, row: int, out: np.ndarray) -> None:
+    for j in range(known.rows.shape[1]):
+        out[0] += known.rows[row, j]
+    out[1] = known.rows[row].sum()
+    out[2] = len(known.rows)
+
+
+@kernel
+def _corner(known: _Known, row: int) -> float:
+    return known.corners[row, 2, 1] + 1000.0 * known.corners[row, 1].sum()
+
+
 @pytest.mark.parametrize("on", [False, True])
 def test_fields_are_read(on):
     """Numbers, flags, tuples, arrays of each shape, a reference and a plain tuple within, and one that is missing."""
@@ -98,6 +118,28 @@ def test_fields_are_read(on):
     assert out.tolist() == [float(on), 0.5, 321.0, 2.0, 7.0, 9.0, 5.0]
     _read(outer(on=on, missing=outer().inner._replace(weight=Vec3(8.0, 0.0, 0.0))), out)
     assert out[1] == 8.0
+
+
+def test_inner_shapes_are_known():
+    """Arrays whose rows lie as far apart as the class says have the numbers, the sums and the length of any other."""
+    known = _Known(np.arange(15.0).reshape(5, 3), np.arange(24.0).reshape(4, 3, 2))
+    out = np.zeros(3)
+    _sum(known, 3, out)
+    assert out.tolist() == [9.0 + 10.0 + 11.0, 9.0 + 10.0 + 11.0, 5.0]
+    assert _corner(known, 2) == 17.0 + 1000.0 * (14.0 + 15.0)
+    _sum(known._replace(corners=None), 1, out)
+    assert out[1] == 12.0
+
+
+@pytest.mark.parametrize(("name", "shape"), [("rows", (5, 4)), ("corners", (4, 2, 3)), ("corners", (4, 3, 1))])
+def test_another_inner_shape_is_refused(name, shape):
+    """By the class, the field and what is allowed, before anything is read."""
+    known = _Known(np.zeros((5, 3)), np.zeros((4, 3, 2)))._replace(**{name: np.zeros(shape)})
+    allowed = {"rows": "(N, 3)", "corners": "(N, 3, 2)"}[name]
+    out = np.zeros(3)
+    with pytest.raises(ValueError, match=re.escape(f"_Known.{name}: the shape allowed is {allowed}")):
+        _sum(known, 0, out)
+    assert not out.any()
 
 
 def test_what_arrays_hold_is_read_anew():

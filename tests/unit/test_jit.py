@@ -11,10 +11,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from termwise.renderer.geometry.simd import available
-from termwise.renderer.jit import _imports, closure_digest
+from termwise.renderer.jit import _imports, closure_digest, kernel
 
 pytestmark = pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compilation is what is tested")
 
@@ -194,6 +195,23 @@ def test_options_of_numba_are_named_in_one_place(path):
         if isinstance(node, ast.Import | ast.ImportFrom) and path.name not in extends:
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [item.name for item in node.names]
             assert not any(name.split(".")[0] == "numba" for name in names)
+
+
+@kernel
+def _index(table: np.ndarray, narrow: np.ndarray, i: int, out: np.ndarray) -> None:
+    out[0] = table[i, 1]
+    out[1] = table[narrow[0], narrow[1]]
+    out[2] = table[-1, -2]
+    out[3] = table[i][-1]
+    out[-1] = table[1:, 0].sum()
+    out[i + 3] = table[narrow[2], 1]
+
+
+def test_indices():
+    """Of 64 and 32 bits, in pairs, of a row, of a slice; constants count from the end where they are negative."""
+    out = np.zeros(6)
+    _index(np.arange(6.0).reshape(2, 3), np.array([1, 2, 0], np.int32), 2 - 1, out)
+    assert out.tolist() == [4.0, 5.0, 4.0, 5.0, 1.0, 3.0]
 
 
 def test_users_own_cache_folder_stays(copy):
