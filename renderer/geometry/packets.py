@@ -1,41 +1,33 @@
-"""Eight rays of a wave that go the same way, descended together inside a frustum.
+"""Rays of a wave that go the same way, descended together: by a frustum, then 16 at a time in float32.
 
-A packet's rays have one main axis. Seen along this axis k_z, ray i is at depth z at `x = o_x + s_x z`,
-`y = o_y + s_y z`; the packet lies between the planes `x = min o_x + min s_x z` and `x = max o_x + max s_x z`, and so in
-y, and a box is passed over where it lies outside of one of them: one test of 8 boxes for 8 rays. It pays where
-triangles are larger than the packet is wide, and gives up when its work is no longer less than that of the same rays
-in a stream.
+A packet's rays have one main axis k_z. Seen along it, and from a point c beside their origins, ray i is at depth z at
+`x = h_x + s_x z`, `y = h_y + s_y z`; all of them lie between the planes `x = min o_x + min s_x z` and
+`x = max o_x + max s_x z`, and so in y. One test of these planes passes 8 boxes of a node by, or 8 triangles of a leaf;
+each box that it leaves is tested against 16 rays at a time, and goes onto the stack with those that it may hold. So is
+each triangle, and what a ray may hit in float32 is tested in float64, by the expressions of `intersect_triangle`: faces
+and distances have the bits of single rays, in whatever company they come.
 
-The planes are padded as `bvh8_traverse` pads boxes, and triangles are tested in float64 by the expressions of
-`intersect_triangle`: faces and distances have the bits of single rays, in whatever company they come.
+Planes and boxes are padded by `2^-20 R`, R being the largest coordinate distance between the origins and the scene: 16
+roundings of the largest number of a test. A corner of a triangle is `a_x - h_x - s_x a_z` as a ray sees it. With
+u = 2^-24, A the largest coordinate of the leaf and H that of the origins, both seen from c, float32 errs in it by less
+than `E = 6 u (A + 2 H)`. Of a ray that hits, all corners lie nearer than T, the triangle's extent, and an edge function
+of theirs errs by less than `E (8 T + 4 E)`, the slack of `intersect_triangle` and the errors of float64 included.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.geometry.bvh8 import HIGH, LEAF, LINKS, NODE, Bvh8
-from termwise.renderer.geometry.bvh8_traverse import (
-    DISTANCE_BITS,
-    NEVER,
-    NODES,
-    PAD,
-    ROUND_UP,
-    Shear,
-    Triangles,
-    distances,
-    edges,
-    face_of,
-)
+from termwise.renderer.geometry.bvh8 import FACES, HIGH, LEAF, LINKS, NODE, Bvh8
+from termwise.renderer.geometry.bvh8_traverse import PAD, ROUND_UP, Shear, distances, edges, face_of
 from termwise.renderer.geometry.intersect import component
+from termwise.renderer.geometry.polygons import first_bits
 from termwise.renderer.geometry.simd import (
-    as_int,
     bits,
     choose,
-    compress,
     count_bits,
-    extract,
     fma,
+    fms,
     highest,
     load,
     load_int,
@@ -45,373 +37,450 @@ from termwise.renderer.geometry.simd import (
     magnitude,
     maximum,
     minimum,
+    narrow,
+    negative,
     numbers,
-    rows,
-    smallest,
     splat,
     store,
     widen,
 )
-from termwise.renderer.geometry.wave import Wave
+from termwise.renderer.geometry.wave import SIZE, Wave
 from termwise.renderer.jit import device
 from termwise.renderer.vector import entry
 
-SIZE = 8
 MOST_BACKOFF = 256  # see `wave.BACKOFF`
-# Nodes, leaves and triangles that a packet may test: with more a stream is faster.
-MUCH_WORK = 48
+# A packet gives up where, after so many nodes and leaves, fewer rays than so many share one: then a stream is faster.
+_SOON, _COMPANY = 64, 6
+_LANES = 16
+_ALL = (1 << _LANES) - 1
+_UNIT = 2.0**-24
+# Rows of `wave.scaled`: lines of the rays and how far they reach; then the boxes, or triangles, at hand.
+_H_X, _H_Y, _S_X, _S_Y, _REACH, _AT_HAND = 0, SIZE, 2 * SIZE, 3 * SIZE, 4 * SIZE, 5 * SIZE
+# Beyond these float32 overflows, or lacks numbers, in products of two lengths.
+_SMALLEST, _LARGEST = 2.0**-40, 2.0**40
+_FAR_AWAY = 2.0**20
 
 
 class Packet(NamedTuple):
-    """Eight rays (`shear`), the depth that each makes in a unit of its t, and the sides of their frustum.
+    """The frustum of rays, whose lines are in `wave.scaled`, in world coordinates seen from c, along kx, ky, kz.
 
     `coherent` says whether all have the first ray's main axis and its sign; without it nothing else is meant. Sides
-    are scalars in world coordinates along the axes kx, ky, kz: at depth 0, and the slopes.
+    are those at depth 0, where rays begin, `front` and `back` the range of that, both padded; (x, y, z) is c, and
+    `spread` 2 H; `unit` is the length of 1 in the tree's coordinates, and (center_x, ...) its center.
     """
 
     coherent: bool
-    shear: Shear
-    speed: int
+    kx: int
+    ky: int
+    kz: int
     forward: bool
-    left: float
-    right: float
-    bottom: float
-    top: float
-    front: float
-    back: float
-    left_slope: float
-    right_slope: float
-    bottom_slope: float
-    top_slope: float
-
-
-class Frustum(NamedTuple):
-    """The sides in all lanes, in float32 for boxes or in float64 for triangles."""
-
-    left: int
-    right: int
-    bottom: int
-    top: int
-    front: int
-    back: int
-    left_slope: int
-    right_slope: int
-    bottom_slope: int
-    top_slope: int
-    sign: int
+    left: np.float32
+    right: np.float32
+    bottom: np.float32
+    top: np.float32
+    front: np.float32
+    back: np.float32
+    left_slope: np.float32
+    right_slope: np.float32
+    bottom_slope: np.float32
+    top_slope: np.float32
+    x: float
+    y: float
+    z: float
+    spread: np.float32
+    pad: np.float32
+    unit: np.float32
+    center_x: np.float32
+    center_y: np.float32
+    center_z: np.float32
 
 
 @device
-def make_packet(wide: Bvh8, wave: Wave, at: int) -> Packet:
-    """Make a packet of 8 rays of a wave, from `at` on."""
-    o = rows(wave.origins, at)
-    d = rows(wave.directions, at)
-    x = magnitude(d[0])
-    y = magnitude(d[1])
-    z = magnitude(d[2])
+def make_packet(wide: Bvh8, wave: Wave, count: int, far: float) -> Packet:
+    """Make a packet of the first `count` rays of a wave."""
     # As `make_ray` chooses: the first axis of the largest component.
     kz = 0
-    along, depth = d[0], x
-    if extract(y, 0) > extract(depth, 0):
+    if abs(wave.directions[1, 0]) > abs(wave.directions[0, 0]):
         kz = 1
-        along, depth = d[1], y
-    if extract(z, 0) > extract(depth, 0):
+    if abs(wave.directions[2, 0]) > abs(wave.directions[kz, 0]):
         kz = 2
-        along, depth = d[2], z
-    largest = depth >= maximum(x, maximum(y, z))
-    if kz > 0:
-        largest = largest & (depth > x)
-    if kz > 1:
-        largest = largest & (depth > y)
-    backward = bits(along < splat(0.0, 8))
-    coherent = bits(largest) == 255 and (backward == 0 or backward == 255)
-    forward = backward == 0
+    forward = wave.directions[kz, 0] > 0.0
     kx = (kz + 1) % 3
     ky = (kx + 1) % 3
     if not forward:
         kx, ky = ky, kx
-    ox = o[0] if kx == 0 else (o[1] if kx == 1 else o[2])
-    oy = o[0] if ky == 0 else (o[1] if ky == 1 else o[2])
-    oz = o[0] if kz == 0 else (o[1] if kz == 1 else o[2])
-    shear_x = (d[0] if kx == 0 else (d[1] if kx == 1 else d[2])) / along
-    shear_y = (d[0] if ky == 0 else (d[1] if ky == 1 else d[2])) / along
-    shear_z = splat(1.0, 8) / along
+    x = np.float64(np.float32(wave.origins[kx, 0]))
+    y = np.float64(np.float32(wave.origins[ky, 0]))
+    z = np.float64(np.float32(wave.origins[kz, 0]))
     sign = splat(1.0 if forward else -1.0, 8)
-    slope_x = shear_x * sign
-    slope_y = shear_y * sign
-    left, right = lowest(ox), highest(ox)
-    bottom, top = lowest(oy), highest(oy)
-    low, high = lowest(oz), highest(oz)
+    most, least = splat(np.inf, 8), splat(-np.inf, 8)
+    ox0, oy0, oz0, sx0, sy0 = most, most, most, most, most
+    ox1, oy1, oz1, sx1, sy1 = least, least, least, least, least
+    odd = 0
+    for k in range(0, count, 8):
+        dx = load(wave.directions, kx * SIZE + k, 8)
+        dy = load(wave.directions, ky * SIZE + k, 8)
+        dz = load(wave.directions, kz * SIZE + k, 8)
+        ox = load(wave.origins, kx * SIZE + k, 8)
+        oy = load(wave.origins, ky * SIZE + k, 8)
+        oz = load(wave.origins, kz * SIZE + k, 8)
+        if count - k < 8:
+            some = numbers(8) < splat(np.int32(count - k), 8)
+            dx, dy, dz = (
+                choose(some, dx, splat(wave.directions[kx, 0], 8)),
+                choose(some, dy, splat(wave.directions[ky, 0], 8)),
+                choose(some, dz, splat(wave.directions[kz, 0], 8)),
+            )
+            ox, oy, oz = choose(some, ox, splat(x, 8)), choose(some, oy, splat(y, 8)), choose(some, oz, splat(z, 8))
+        depth = magnitude(dz)
+        # Of two as large the first: the axes before kz must be less.
+        largest = (depth >= magnitude(dx)) & (depth >= magnitude(dy)) & (dz * sign > splat(0.0, 8))
+        if kz > 0:
+            largest = largest & (depth > magnitude(dx if kx == 0 else dy))
+        if kz > 1:
+            largest = largest & (depth > magnitude(dx if kx == 1 else dy))
+        odd |= 255 & ~bits(largest)
+        inverse = splat(1.0, 8) / dz
+        sx, sy = dx * inverse, dy * inverse
+        aside = oz - splat(z, 8)
+        store(wave.scaled, _H_X + k, narrow(ox - splat(x, 8) - sx * aside))
+        store(wave.scaled, _H_Y + k, narrow(oy - splat(y, 8) - sy * aside))
+        store(wave.scaled, _S_X + k, narrow(sx))
+        store(wave.scaled, _S_Y + k, narrow(sy))
+        store(wave.scaled, _REACH + k, narrow(splat(far * ROUND_UP, 8) * depth))
+        sx, sy = sx * sign, sy * sign
+        ox0, oy0, oz0, sx0, sy0 = (
+            minimum(ox, ox0),
+            minimum(oy, oy0),
+            minimum(oz, oz0),
+            minimum(sx, sx0),
+            minimum(sy, sy0),
+        )
+        ox1, oy1, oz1, sx1, sy1 = (
+            maximum(ox, ox1),
+            maximum(oy, oy1),
+            maximum(oz, oz1),
+            maximum(sx, sx1),
+            maximum(sy, sy1),
+        )
+    left, right = lowest(ox0), highest(ox1)
+    bottom, top = lowest(oy0), highest(oy1)
+    low, high = lowest(oz0), highest(oz1)
     cx, cy, cz = component(wide.center, kx), component(wide.center, ky), component(wide.center, kz)
     reach = max(max(abs(left - cx), abs(right - cx)), max(abs(bottom - cy), abs(top - cy)))
     reach = max(reach, max(abs(low - cz), abs(high - cz)))
-    pad = PAD * (reach + 1.0 / wide.scale)
+    spread = max(max(max(x - left, right - x), max(y - bottom, top - y)), max(z - low, high - z))
+    pad = 2.0 * PAD * (reach + 1.0 / wide.scale)
+    held = reach * wide.scale < _FAR_AWAY and _SMALLEST < wide.scale < _LARGEST
     return Packet(
-        coherent,
-        Shear((ox, oy, oz), (shear_x, shear_y, shear_z), 8 * kx, 8 * ky, 8 * kz),
-        depth,
+        odd == 0 and held,
+        8 * kx,
+        8 * ky,
+        8 * kz,
         forward,
-        left - pad,
-        right + pad,
-        bottom - pad,
-        top + pad,
-        high + pad if forward else low - pad,
-        low - pad if forward else high + pad,
-        lowest(slope_x),
-        highest(slope_x),
-        lowest(slope_y),
-        highest(slope_y),
+        np.float32(left - pad - x),
+        np.float32(right + pad - x),
+        np.float32(bottom - pad - y),
+        np.float32(top + pad - y),
+        np.float32(high + pad - z if forward else low - pad - z),
+        np.float32(low - pad - z if forward else high + pad - z),
+        np.float32(lowest(sx0)),
+        np.float32(highest(sx1)),
+        np.float32(lowest(sy0)),
+        np.float32(highest(sy1)),
+        x,
+        y,
+        z,
+        np.float32(2.0 * spread),
+        np.float32(2.0 * pad),
+        np.float32(1.0 / wide.scale),
+        np.float32(cx - x),
+        np.float32(cy - y),
+        np.float32(cz - z),
     )
 
 
 @device
-def _frustum_of_boxes(wide: Bvh8, p: Packet) -> Frustum:
-    cx = component(wide.center, p.shear.kx // 8)
-    cy = component(wide.center, p.shear.ky // 8)
-    cz = component(wide.center, p.shear.kz // 8)
-    return Frustum(
-        splat(np.float32((p.left - cx) * wide.scale), 8),
-        splat(np.float32((p.right - cx) * wide.scale), 8),
-        splat(np.float32((p.bottom - cy) * wide.scale), 8),
-        splat(np.float32((p.top - cy) * wide.scale), 8),
-        splat(np.float32((p.front - cz) * wide.scale), 8),
-        splat(np.float32((p.back - cz) * wide.scale), 8),
-        splat(np.float32(p.left_slope), 8),
-        splat(np.float32(p.right_slope), 8),
-        splat(np.float32(p.bottom_slope), 8),
-        splat(np.float32(p.top_slope), 8),
-        splat(np.float32(1.0 if p.forward else -1.0), 8),
-    )
-
-
-@device
-def _frustum_of_triangles(p: Packet) -> Frustum:
-    return Frustum(
-        splat(p.left, 8),
-        splat(p.right, 8),
-        splat(p.bottom, 8),
-        splat(p.top, 8),
-        splat(p.front, 8),
-        splat(p.back, 8),
-        splat(p.left_slope, 8),
-        splat(p.right_slope, 8),
-        splat(p.bottom_slope, 8),
-        splat(p.top_slope, 8),
-        splat(1.0 if p.forward else -1.0, 8),
-    )
-
-
-@device
-def _cut(p: Packet, f: Frustum, low: tuple, high: tuple, zero: int, reach: int) -> tuple:
+def _cut(p: Packet, low: tuple, high: tuple, reach: int) -> tuple:
     """Depths (at least 0) where 8 boxes begin, and which of them the frustum may meet before `reach`."""
-    enter = maximum(((low[2] if p.forward else high[2]) - f.front) * f.sign, zero)
-    leave = ((high[2] if p.forward else low[2]) - f.back) * f.sign
+    sign = splat(np.float32(1.0 if p.forward else -1.0), 8)
+    enter = maximum(((low[2] if p.forward else high[2]) - splat(p.front, 8)) * sign, splat(np.float32(0.0), 8))
+    leave = ((high[2] if p.forward else low[2]) - splat(p.back, 8)) * sign
     # A side recedes furthest where the box ends if its slope leads outwards, else where it begins.
     met = (enter <= minimum(leave, reach)) & (
-        low[0] <= fma(f.right_slope, leave if p.right_slope > 0.0 else enter, f.right)
+        low[0] <= fma(splat(p.right_slope, 8), leave if p.right_slope > 0.0 else enter, splat(p.right, 8))
     )
-    met = met & (high[0] >= fma(f.left_slope, enter if p.left_slope > 0.0 else leave, f.left))
-    met = met & (low[1] <= fma(f.top_slope, leave if p.top_slope > 0.0 else enter, f.top))
-    met = met & (high[1] >= fma(f.bottom_slope, enter if p.bottom_slope > 0.0 else leave, f.bottom))
+    met = met & (high[0] >= fma(splat(p.left_slope, 8), enter if p.left_slope > 0.0 else leave, splat(p.left, 8)))
+    met = met & (low[1] <= fma(splat(p.top_slope, 8), leave if p.top_slope > 0.0 else enter, splat(p.top, 8)))
+    met = met & (high[1] >= fma(splat(p.bottom_slope, 8), enter if p.bottom_slope > 0.0 else leave, splat(p.bottom, 8)))
     return enter, met
 
 
 @device
-def _cut_boxes(nodes: np.ndarray, node: int, p: Packet, f: Frustum, reach: int) -> tuple:
-    low = node * NODE
-    high = low + HIGH
-    return _cut(
-        p,
-        f,
-        (load(nodes, low + p.shear.kx, 8), load(nodes, low + p.shear.ky, 8), load(nodes, low + p.shear.kz, 8)),
-        (load(nodes, high + p.shear.kx, 8), load(nodes, high + p.shear.ky, 8), load(nodes, high + p.shear.kz, 8)),
-        splat(np.float32(0.0), 8),
-        reach,
+def _planes(nodes: np.ndarray, start: int, p: Packet) -> tuple:
+    """Planes of 8 boxes along an axis each, seen from c."""
+    unit = splat(p.unit, 8)
+    return (
+        fma(load(nodes, start + p.kx, 8), unit, splat(p.center_x, 8)),
+        fma(load(nodes, start + p.ky, 8), unit, splat(p.center_y, 8)),
+        fma(load(nodes, start + p.kz, 8), unit, splat(p.center_z, 8)),
     )
 
 
 @device
-def _span(leaves: np.ndarray, start: int) -> tuple:
-    """Least and greatest coordinate of 8 triangles along an axis."""
-    a = widen(load(leaves, start, 8))
-    b = widen(load(leaves, start + 24, 8))
-    c = widen(load(leaves, start + 48, 8))
-    return minimum(minimum(a, b), c), maximum(maximum(a, b), c)
+def _within(wave: Wave, lane: int, rays: int) -> int:
+    """Which of the rays the box at hand may hold, as bits."""
+    s = wave.scaled[0]
+    i = _AT_HAND + lane
+    x0, x1, y0, y1 = splat(s[i], 16), splat(s[i + 8], 16), splat(s[i + 16], 16), splat(s[i + 24], 16)
+    z0, z1 = splat(s[i + 32], 16), splat(s[i + 40], 16)
+    found = 0
+    for k in range(0, SIZE, _LANES):
+        if (rays >> k) & _ALL != 0:
+            hx, sx = load(wave.scaled, _H_X + k, 16), load(wave.scaled, _S_X + k, 16)
+            hy, sy = load(wave.scaled, _H_Y + k, 16), load(wave.scaled, _S_Y + k, 16)
+            xa, xb = fma(sx, z0, hx), fma(sx, z1, hx)
+            ya, yb = fma(sy, z0, hy), fma(sy, z1, hy)
+            met = (minimum(xa, xb) <= x1) & (maximum(xa, xb) >= x0) & (minimum(ya, yb) <= y1) & (maximum(ya, yb) >= y0)
+            found |= bits(met) << k
+    return found & rays
 
 
 @device
-def _cut_triangles(leaves: np.ndarray, leaf: int, p: Packet, f: Frustum, furthest: float) -> int:
-    """Which of a leaf's triangles the frustum may meet, by their own boxes, as bits."""
-    x = _span(leaves, leaf * LEAF + p.shear.kx)
-    y = _span(leaves, leaf * LEAF + p.shear.ky)
-    z = _span(leaves, leaf * LEAF + p.shear.kz)
-    _, met = _cut(p, f, (x[0], y[0], z[0]), (x[1], y[1], z[1]), splat(0.0, 8), splat(furthest, 8))
+def _enter_node(
+    wide: Bvh8, p: Packet, wave: Wave, node: int, rays: int, reach: int, stack: np.ndarray, size: int
+) -> int:
+    """Put a node's boxes that rays may meet onto the stack, the nearest last; the stack's size."""
+    low = _planes(wide.nodes, node * NODE, p)
+    high = _planes(wide.nodes, node * NODE + HIGH, p)
+    enter, met = _cut(p, low, high, reach)
+    lanes = bits(met)
+    if lanes == 0:
+        return size
+    pad = splat(p.pad, 8)
+    store(wave.scaled, _AT_HAND, low[0] - pad)
+    store(wave.scaled, _AT_HAND + 8, high[0] + pad)
+    store(wave.scaled, _AT_HAND + 16, low[1] - pad)
+    store(wave.scaled, _AT_HAND + 24, high[1] + pad)
+    back = splat(p.back, 8)
+    store(wave.scaled, _AT_HAND + 32, maximum(low[2], back) if p.forward else low[2])
+    store(wave.scaled, _AT_HAND + 40, high[2] if p.forward else minimum(high[2], back))
+    store(wave.scaled, _AT_HAND + 48, enter)
+    nearest, last = np.float32(np.inf), size
+    while lanes != 0:
+        lane = lowest_bit(lanes)
+        lanes &= lanes - 1
+        inside = _within(wave, lane, rays)
+        if inside != 0:
+            distance = wave.scaled[0, _AT_HAND + 48 + lane]
+            wave.keys[size] = distance
+            stack[size] = load_int(wide.nodes, node * NODE + LINKS + lane)
+            wave.masks[size] = inside
+            if distance < nearest:
+                nearest, last = distance, size
+            size += 1
+    if last < size:
+        top = size - 1
+        wave.keys[last], wave.keys[top] = wave.keys[top], wave.keys[last]
+        stack[last], stack[top] = stack[top], stack[last]
+        wave.masks[last], wave.masks[top] = wave.masks[top], wave.masks[last]
+    return size
+
+
+@device
+def _reaching(wave: Wave, rays: int, distance: np.float32) -> int:
+    """Which of the rays go on at a distance, as bits."""
+    found = 0
+    for k in range(0, SIZE, _LANES):
+        if (rays >> k) & _ALL != 0:
+            found |= bits(load(wave.scaled, _REACH + k, 16) >= splat(distance, 16)) << k
+    return found & rays
+
+
+@device
+def _seen(wave: Wave, row: int, leaves: np.ndarray, start: int, c: float) -> tuple:
+    """Keep a coordinate of the 3 corners of 8 triangles, seen from c; the least and the greatest of each triangle."""
+    a = narrow(widen(load(leaves, start, 8)) - splat(c, 8))
+    b = narrow(widen(load(leaves, start + 24, 8)) - splat(c, 8))
+    d = narrow(widen(load(leaves, start + 48, 8)) - splat(c, 8))
+    store(wave.scaled, row, a)
+    store(wave.scaled, row + 24, b)
+    store(wave.scaled, row + 48, d)
+    return minimum(minimum(a, b), d), maximum(maximum(a, b), d)
+
+
+@device
+def _cut_triangles(wave: Wave, leaves: np.ndarray, leaf: int, p: Packet, reach: int) -> int:
+    """Which of a leaf's triangles the frustum may meet, by their own boxes, as bits; all become those at hand."""
+    x = _seen(wave, _AT_HAND, leaves, leaf * LEAF + p.kx, p.x)
+    y = _seen(wave, _AT_HAND + 8, leaves, leaf * LEAF + p.ky, p.y)
+    z = _seen(wave, _AT_HAND + 16, leaves, leaf * LEAF + p.kz, p.z)
+    _, met = _cut(p, (x[0], y[0], z[0]), (x[1], y[1], z[1]), reach)
+    zero = splat(np.float32(0.0), 8)
+    extent = maximum(x[1] - x[0], y[1] - y[0]) + (z[1] - z[0])
+    largest = maximum(maximum(maximum(x[1], zero - x[0]), maximum(y[1], zero - y[0])), maximum(z[1], zero - z[0]))
+    error = splat(np.float32(6.0 * _UNIT), 8) * (largest + splat(p.spread, 8))
+    # Below the least normal number roundings have a size of their own.
+    error = fma(
+        error,
+        fma(splat(np.float32(8.0), 8), extent, splat(np.float32(4.0), 8) * error),
+        splat(np.float32(2.0**-120), 8),
+    )
+    store(wave.scaled, _AT_HAND + 72, error)
+    faces = load_ints(leaves, (leaf * LEAF + FACES) * (leaves.itemsize // 4), 8)
+    return bits(met & (faces >= splat(np.int32(0), 8)))
+
+
+@device
+def _inside(a: tuple, b: tuple, c: tuple, hx: int, hy: int, sx: int, sy: int, error: int, zero: int) -> int:
+    """Which lanes may have a hit: a triangle's corners, and a ray's line."""
+    ax, ay = fma(negative(sx), a[2], a[0] - hx), fma(negative(sy), a[2], a[1] - hy)
+    bx, by = fma(negative(sx), b[2], b[0] - hx), fma(negative(sy), b[2], b[1] - hy)
+    cx, cy = fma(negative(sx), c[2], c[0] - hx), fma(negative(sy), c[2], c[1] - hy)
+    u, v, w = fms(cx, by, cy * bx), fms(ax, cy, ay * cx), fms(bx, ay, by * ax)
+    met = (minimum(minimum(u, v), w) >= zero - error) | (maximum(maximum(u, v), w) <= error)
     return bits(met)
 
 
 @device
-def _corner(leaves: np.ndarray, start: int, s: Shear) -> tuple:
+def _may_hit(wave: Wave, lane: int, rays: int) -> int:
+    """Which of the rays may hit a triangle of the leaf at hand, as bits: all that do, and few more."""
+    s = wave.scaled[0]
+    i = _AT_HAND + lane
+    a = splat(s[i], 16), splat(s[i + 8], 16), splat(s[i + 16], 16)
+    b = splat(s[i + 24], 16), splat(s[i + 32], 16), splat(s[i + 40], 16)
+    c = splat(s[i + 48], 16), splat(s[i + 56], 16), splat(s[i + 64], 16)
+    error, zero = splat(s[i + 72], 16), splat(np.float32(0.0), 16)
+    found = 0
+    for k in range(0, SIZE, _LANES):
+        if (rays >> k) & _ALL != 0:
+            hx, hy = load(wave.scaled, _H_X + k, 16), load(wave.scaled, _H_Y + k, 16)
+            sx, sy = load(wave.scaled, _S_X + k, 16), load(wave.scaled, _S_Y + k, 16)
+            found |= _inside(a, b, c, hx, hy, sx, sy, error, zero) << k
+    return found & rays
+
+
+@device
+def _may_be_hit(wave: Wave, ray: int) -> int:
+    """Which triangles of the leaf at hand a ray may hit, as bits."""
+    s, i = wave.scaled, _AT_HAND
+    return _inside(
+        (load(s, i, 8), load(s, i + 8, 8), load(s, i + 16, 8)),
+        (load(s, i + 24, 8), load(s, i + 32, 8), load(s, i + 40, 8)),
+        (load(s, i + 48, 8), load(s, i + 56, 8), load(s, i + 64, 8)),
+        splat(s[0, _H_X + ray], 8),
+        splat(s[0, _H_Y + ray], 8),
+        splat(s[0, _S_X + ray], 8),
+        splat(s[0, _S_Y + ray], 8),
+        load(s, i + 72, 8),
+        splat(np.float32(0.0), 8),
+    )
+
+
+@device
+def _corner(leaves: np.ndarray, start: int, p: Packet) -> tuple:
     return (
-        splat(np.float64(leaves[start + s.kx]), 8),
-        splat(np.float64(leaves[start + s.ky]), 8),
-        splat(np.float64(leaves[start + s.kz]), 8),
+        splat(np.float64(leaves[start + p.kx]), 8),
+        splat(np.float64(leaves[start + p.ky]), 8),
+        splat(np.float64(leaves[start + p.kz]), 8),
     )
 
 
 @device
-def _triangle(leaves: np.ndarray, leaf: int, lane: int, s: Shear) -> Triangles:
-    """`edges` of one triangle for 8 rays."""
+def _meet(leaves: np.ndarray, leaf: int, lane: int, p: Packet, wave: Wave, k: int, far: float, hides: bool) -> bool:
+    """A triangle for rays k ... k + 7, to the last bit: whether it changes anything, which is written to the wave."""
+    kx, ky, kz = p.kx // 8 * SIZE + k, p.ky // 8 * SIZE + k, p.kz // 8 * SIZE + k
+    along = load(wave.directions, kz, 8)
+    s = Shear(
+        (load(wave.origins, kx, 8), load(wave.origins, ky, 8), load(wave.origins, kz, 8)),
+        (load(wave.directions, kx, 8) / along, load(wave.directions, ky, 8) / along, splat(1.0, 8) / along),
+        p.kx,
+        p.ky,
+        p.kz,
+    )
     a = leaf * LEAF + lane
-    return edges(_corner(leaves, a, s), _corner(leaves, a + 24, s), _corner(leaves, a + 48, s), s)
-
-
-class Hits(NamedTuple):
-    """The nearest hits of 8 rays so far, as `Hit` has them."""
-
-    t: int
-    face: int
-    b1: int
-    b2: int
-
-
-@device
-def _nothing(far: float) -> Hits:
-    zero = splat(0.0, 8)
-    return Hits(splat(far, 8), splat(np.int32(-1), 8), zero, zero)
-
-
-@device
-def _nearer(best: Hits, p: Packet, wave: Wave, at: int, hit: Triangles, face: int) -> tuple[Hits, int]:
-    """The nearest hits with one triangle more, and which of them are new, as bits."""
-    this = splat(np.int32(face), 8)
+    hit = edges(_corner(leaves, a, p), _corner(leaves, a + 24, p), _corner(leaves, a + 48, p), s)
+    this = splat(np.int32(face_of(leaves, leaf, lane)), 8)
     scale = splat(1.0, 8) / hit.det
-    t = distances(p.shear, hit, scale)
-    better = hit.inside & (t > splat(0.0, 8)) & (t <= best.t)
-    better = better & ((this < load(wave.first, at, 8)) | (this >= load(wave.end, at, 8)))
-    better = better & ((t < best.t) | (best.face < splat(np.int32(0), 8)) | (this < best.face))
-    nearest = Hits(
-        choose(better, t, best.t),
-        choose(better, this, best.face),
-        choose(better, hit.v * scale, best.b1),
-        choose(better, hit.w * scale, best.b2),
-    )
-    return nearest, bits(better)
+    t = distances(s, hit, scale)
+    best, face = load(wave.t, k, 8), load(wave.face, k, 8)
+    met = hit.inside & (t > splat(0.0, 8)) & ((this < load(wave.first, k, 8)) | (this >= load(wave.end, k, 8)))
+    if hides:
+        met = met & (t < splat(far, 8)) & (this != load(wave.target, k, 8))
+        reach = splat(np.float32(-1.0), 8)
+    else:
+        met = met & (t <= best) & ((t < best) | (face < splat(np.int32(0), 8)) | (this < face))
+        reach = narrow(t * magnitude(along) * splat(ROUND_UP, 8))
+        store(wave.t, k, choose(met, t, best))
+        store(wave.face, k, choose(met, this, face))
+        store(wave.b1, k, choose(met, hit.v * scale, load(wave.b1, k, 8)))
+        store(wave.b2, k, choose(met, hit.w * scale, load(wave.b2, k, 8)))
+    store(wave.scaled, _REACH + k, choose(met, reach, load(wave.scaled, _REACH + k, 8)))
+    return bits(met) != 0
 
 
 @device
-def _hidden(p: Packet, wave: Wave, at: int, hit: Triangles, face: int, far: float) -> int:
-    """Which of 8 rays a triangle hides, as bits."""
-    this = splat(np.int32(face), 8)
-    counts = (this < load(wave.first, at, 8)) | (this >= load(wave.end, at, 8))
-    counts = counts & (this != load(wave.target, at, 8))
-    t = distances(p.shear, hit, splat(1.0, 8) / hit.det)
-    return bits(hit.inside & counts & (t > splat(0.0, 8)) & (t < splat(far, 8)))
+def _furthest(wave: Wave, count: int) -> int:
+    """How far the rays still reach, in all lanes."""
+    furthest = splat(np.float32(-1.0), 8)
+    for k in range(0, count, 8):
+        furthest = maximum(load(wave.scaled, _REACH + k, 8), furthest)
+    return splat(highest(furthest), 8)
 
 
 @device
-def _put_hits(wave: Wave, at: int, hits: Hits) -> None:
-    store(wave.t, at, hits.t)
-    store(wave.face, at, hits.face)
-    store(wave.b1, at, hits.b1)
-    store(wave.b2, at, hits.b2)
-
-
-@device
-def _put_found(wave: Wave, at: int, hidden: int) -> None:
-    for lane in range(SIZE):
-        wave.found[at + lane] = (hidden >> lane) & 1 != 0
-
-
-@device
-def closest_hits_of_packet(wide: Bvh8, p: Packet, wave: Wave, at: int, far: float, stack: np.ndarray) -> bool:
-    """Write the nearest hits of 8 rays as `closest_hit` gives them; False: gave up, nothing written."""
-    boxes = _frustum_of_boxes(wide, p)
-    triangles = _frustum_of_triangles(p)
-    best = _nothing(far)
-    furthest = highest(best.t * p.speed)
-    reach = splat(np.float32(furthest * wide.scale * ROUND_UP), 8)
-    work = 0
-    size = 0
+def descend(wide: Bvh8, p: Packet, wave: Wave, count: int, far: float, hides: bool, stack: np.ndarray) -> bool:
+    """Write the nearest hits of a packet, as `closest_hit` gives them, or what `any_hit` finds; False: gave up."""
+    if not hides:
+        for k in range(0, count, 8):
+            store(wave.t, k, splat(far, 8))
+            store(wave.face, k, splat(np.int32(-1), 8))
+            store(wave.b1, k, splat(0.0, 8))
+            store(wave.b2, k, splat(0.0, 8))
+    reach = _furthest(wave, count)
+    rays = first_bits(count)
     node = 0
+    size = 0
+    work = shared = 0
     while len(wide.nodes) > 0:
         work += 1
-        if work > MUCH_WORK:
+        shared += count_bits(rays)
+        if work >= _SOON and shared < _COMPANY * work:
             return False
         if node >= 0:
-            enter, met = _cut_boxes(wide.nodes, node, p, boxes, reach)
-            lanes = bits(met)
-            if lanes != 0:
-                links = node * NODE + LINKS
-                keys = (as_int(enter) & splat(DISTANCE_BITS, 8)) | numbers(8)
-                nearest = smallest(choose(met, keys, splat(NEVER, 8)))
-                rest = met & (keys != splat(nearest, 8))
-                store(stack, size, compress(keys, rest))
-                store(stack, NODES + size, compress(load_ints(wide.nodes, links, 8), rest))
-                size += count_bits(lanes) - 1
-                node = load_int(wide.nodes, links + (np.int64(nearest) & 7))
-                continue
+            size = _enter_node(wide, p, wave, node, rays, reach, stack, size)
         else:
             leaf = -1 - node
-            lanes = _cut_triangles(wide.leaves, leaf, p, triangles, furthest)
-            work += count_bits(lanes)
-            nearer = 0
-            while lanes != 0:
-                lane = lowest_bit(lanes)
-                lanes &= lanes - 1
-                hit = _triangle(wide.leaves, leaf, lane, p.shear)
-                if bits(hit.inside) != 0:
-                    best, new = _nearer(best, p, wave, at, hit, face_of(wide.leaves, leaf, lane))
-                    nearer |= new
-            if nearer != 0:
-                furthest = highest(best.t * p.speed)
-                reach = splat(np.float32(furthest * wide.scale * ROUND_UP), 8)
-        while size > 0:
+            lanes = _cut_triangles(wave, wide.leaves, leaf, p, reach)
+            changed = False
+            if 4 * count_bits(rays) <= 3 * count_bits(lanes):
+                while rays != 0:
+                    ray = lowest_bit(rays)
+                    rays &= rays - 1
+                    may = _may_be_hit(wave, ray) & lanes
+                    while may != 0:
+                        lane = lowest_bit(may)
+                        may &= may - 1
+                        changed |= _meet(wide.leaves, leaf, lane, p, wave, ray & 56, far, hides)
+            else:
+                while lanes != 0:
+                    lane = lowest_bit(lanes)
+                    lanes &= lanes - 1
+                    may = _may_hit(wave, lane, rays)
+                    while may != 0:
+                        k = lowest_bit(may) & 56
+                        may &= ~(255 << k)
+                        changed |= _meet(wide.leaves, leaf, lane, p, wave, k, far, hides)
+            if changed:
+                reach = _furthest(wave, count)
+        rays = 0
+        while size > 0 and rays == 0:
             size -= 1
-            if stack[size] & DISTANCE_BITS <= extract(as_int(reach), 0):
-                size += 1
-                break
-        if size == 0:
+            rays = _reaching(wave, wave.masks[size], wave.keys[size])
+        if rays == 0:
             break
-        size -= 1
-        node = entry(stack, NODES + size)
-    _put_hits(wave, at, best)
-    return True
-
-
-@device
-def any_hits_of_packet(wide: Bvh8, p: Packet, wave: Wave, at: int, far: float, stack: np.ndarray) -> bool:
-    """Write what `any_hit` finds for 8 rays; False: gave up, nothing written."""
-    boxes = _frustum_of_boxes(wide, p)
-    triangles = _frustum_of_triangles(p)
-    furthest = highest(splat(far, 8) * p.speed)
-    reach = splat(np.float32(furthest * wide.scale * ROUND_UP), 8)
-    hits = 0
-    work = 0
-    size = 0
-    node = 0
-    while len(wide.nodes) > 0:
-        work += 1
-        if work > MUCH_WORK:
-            return False
-        if node >= 0:
-            _, met = _cut_boxes(wide.nodes, node, p, boxes, reach)
-            store(stack, size, compress(load_ints(wide.nodes, node * NODE + LINKS, 8), met))
-            size += count_bits(bits(met))
-        else:
-            leaf = -1 - node
-            lanes = _cut_triangles(wide.leaves, leaf, p, triangles, furthest)
-            work += count_bits(lanes)
-            while lanes != 0:
-                lane = lowest_bit(lanes)
-                lanes &= lanes - 1
-                hit = _triangle(wide.leaves, leaf, lane, p.shear)
-                if bits(hit.inside) != 0:
-                    hits |= _hidden(p, wave, at, hit, face_of(wide.leaves, leaf, lane), far)
-            if hits == 255:
-                break
-        if size == 0:
-            break
-        size -= 1
         node = entry(stack, size)
-    _put_found(wave, at, hits)
+    if hides:
+        for i in range(count):
+            wave.found[i] = wave.scaled[0, _REACH + i] < np.float32(0.0)
     return True

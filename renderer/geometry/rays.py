@@ -1,8 +1,8 @@
 """`closest_hit` and `any_hit` as this machine computes them best, singly and in waves of up to 64 rays.
 
 All meet the same face at the same t: the descent of the binary tree, the reference, which needs no vectors; that of
-the tree of 8 children, eight boxes or triangles at a time; and among few polygons float32, as far as it is sure. Of a
-wave eight rays are a packet where that pays, and what is left is a stream.
+the tree of 8 children, eight boxes or triangles at a time; and among few polygons float32, as far as it is sure. A
+wave whose rays go the same way is a packet where that pays, and else a stream.
 """
 
 import numpy as np
@@ -25,7 +25,6 @@ from termwise.renderer.vector import column, put_column, vec3
 
 _VECTORS = simd.available()
 _NEAREST, _ANY = range(2)
-_EIGHT = 255
 
 
 @device
@@ -72,12 +71,12 @@ if _VECTORS:
         return bvh8_traverse.any_hit(tree.bvh8, ray, far, ignore, target, stack)
 
     @device
-    def _closest_hits_of_packet(tree: Tree, wave: Wave, at: int, far: float, stack: np.ndarray) -> bool:
-        """Whether 8 rays were a packet that paid, whose hits are then written."""
+    def _closest_hits_of_packet(tree: Tree, wave: Wave, count: int, far: float, stack: np.ndarray) -> bool:
+        """Whether the rays were a packet that paid, whose hits are then written."""
         if not _hopeful(wave, _NEAREST):
             return False
-        packet = packets.make_packet(tree.bvh8, wave, at)
-        paid = packet.coherent and packets.closest_hits_of_packet(tree.bvh8, packet, wave, at, far, stack)
+        packet = packets.make_packet(tree.bvh8, wave, count, far)
+        paid = packet.coherent and packets.descend(tree.bvh8, packet, wave, count, far, False, stack)
         return _learn(wave, _NEAREST, paid)
 
     @subroutine
@@ -89,18 +88,17 @@ if _VECTORS:
         if tree.polygons.count > 0:
             left = closest_hits_among_polygons(corners, tree.polygons, wave, count, far)
         elif coherent:
-            for at in range(0, count - packets.SIZE + 1, packets.SIZE):
-                if _closest_hits_of_packet(tree, wave, at, far, stack):
-                    left &= ~(_EIGHT << at)
+            if _closest_hits_of_packet(tree, wave, count, far, stack):
+                left = 0
         if left != 0:
             closest_hits_of_stream(tree.bvh8, wave, left, far, stack)
 
     @device
-    def _any_hits_of_packet(tree: Tree, wave: Wave, at: int, far: float, stack: np.ndarray) -> bool:
+    def _any_hits_of_packet(tree: Tree, wave: Wave, count: int, far: float, stack: np.ndarray) -> bool:
         if not _hopeful(wave, _ANY):
             return False
-        packet = packets.make_packet(tree.bvh8, wave, at)
-        paid = packet.coherent and packets.any_hits_of_packet(tree.bvh8, packet, wave, at, far, stack)
+        packet = packets.make_packet(tree.bvh8, wave, count, far)
+        paid = packet.coherent and packets.descend(tree.bvh8, packet, wave, count, far, True, stack)
         return _learn(wave, _ANY, paid)
 
     @subroutine
@@ -112,9 +110,8 @@ if _VECTORS:
         if tree.polygons.count > 0:
             left = any_hits_among_polygons(tree.polygons, wave, count, far)
         elif coherent:
-            for at in range(0, count - packets.SIZE + 1, packets.SIZE):
-                if _any_hits_of_packet(tree, wave, at, far, stack):
-                    left &= ~(_EIGHT << at)
+            if _any_hits_of_packet(tree, wave, count, far, stack):
+                left = 0
         if left != 0:
             any_hits_of_stream(tree.bvh8, wave, left, far, stack)
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from termwise.renderer.by_reference import by_reference
+from termwise.renderer.geometry.bvh8 import DEEPEST
 from termwise.renderer.geometry.intersect import Hit
 from termwise.renderer.jit import device
 from termwise.renderer.memory import on_own_lines
@@ -26,12 +27,14 @@ class Wave(NamedTuple):
     target : (64,) int32, a face that hides nothing (-1: none).
     t, b1, b2, face : (64,) float64, the last int32: the nearest hits, as `Hit` has them.
     found : (64,) bool, whether anything is hit.
-    scaled : (10, 64) float32 scratch: origins, directions, moments and far ends in the coordinates of `polygons`, or
-        what the boxes of `streams` ask.
+    scaled : (10, 64) float32 scratch: origins, directions, moments and far ends in the coordinates of `polygons`, what
+        the boxes of `streams` ask, or the lines of `packets`, with the boxes or triangles at hand.
     candidates : (64,) int32 scratch.
     shears, axes : (7, 64) float64 and (6, 64) int32 scratch of `streams`; of `polygons` the first row of the shears.
     backoff : (2, 2) int64, for nearest and for any hits: how many packets more go with the stream at once, and how
         many after the next packet that does not pay.
+    keys, masks : (DEEPEST,) float32 and int64 scratch of `packets`: how far the nodes on the stack are, and which rays
+        they may hold.
     """
 
     origins: np.ndarray
@@ -49,6 +52,8 @@ class Wave(NamedTuple):
     shears: np.ndarray
     axes: np.ndarray
     backoff: np.ndarray
+    keys: np.ndarray
+    masks: np.ndarray
 
 
 def new_wave() -> Wave:
@@ -69,6 +74,8 @@ def new_wave() -> Wave:
         np.zeros((7, SIZE)),
         np.zeros((6, SIZE), np.int32),
         np.array([[0, BACKOFF], [0, BACKOFF]]),
+        np.zeros(DEEPEST, np.float32),
+        np.zeros(DEEPEST, np.int64),
     )
     return Wave(*map(on_own_lines, arrays))
 

@@ -191,11 +191,7 @@ PLANTS = (
         "/ probability",
     ),
     Plant(
-        "direct: the light's area twice",
-        DIRECT,
-        _SAMPLING,
-        "splat(INV_PI, 8) * area",
-        "splat(2.0 * INV_PI, 8) * area",
+        "direct: the light's area twice", DIRECT, _SAMPLING, "splat(INV_PI, 8) * area", "splat(2.0 * INV_PI, 8) * area"
     ),
     Plant("direct: 1/pi lost", DIRECT, _SAMPLING, "splat(INV_PI, 8) * area", "area"),
     Plant(
