@@ -124,10 +124,13 @@ def _load(builder: Any, place: Any, known: dict[tuple[int, ...], int], at: tuple
 def _refuse_other_shapes(c: Any, kind: Reference, index: int, place: Any, failed: Any) -> None:
     """Raise where an array at a place is not as its class says."""
     name = kind.cls._fields[index]
-    for at, value in _known(c.context, kind, index).items():
-        found = c.builder.load(cgutils.gep_inbounds(c.builder, place, 0, *at))
-        with cgutils.if_unlikely(c.builder, c.builder.icmp_signed("!=", found, ir.Constant(found.type, value))):
-            allowed = ", ".join(map(str, ("N", *_INNER[kind.cls][name])))
+    inner = _INNER[kind.cls].get(name, ()) if isinstance(kind.types[index], types.Array) else ()
+    for axis, extent in enumerate(inner):
+        # Not its strides: those of an array of nothing may be 0.
+        shape = c.context.data_model_manager[kind.types[index]].get_field_position("shape")
+        found = c.builder.load(cgutils.gep_inbounds(c.builder, place, 0, shape, axis + 1))
+        with cgutils.if_unlikely(c.builder, c.builder.icmp_signed("!=", found, ir.Constant(found.type, extent))):
+            allowed = ", ".join(map(str, ("N", *inner)))
             c.pyapi.err_set_string("PyExc_ValueError", f"{kind.cls.__name__}.{name}: the shape allowed is ({allowed})")
             c.builder.store(cgutils.true_bit, failed)
 

@@ -105,9 +105,16 @@ def _sum(known: _Known, row: int, out: np.ndarray) -> None:
     out[2] = len(known.rows)
 
 
+@device
+def _corner_of(corners: np.ndarray | None, row: int) -> float:
+    if corners is not None:
+        return corners[row, 2, 1] + 1000.0 * corners[row, 1].sum()
+    return 0.5
+
+
 @kernel
 def _corner(known: _Known, row: int) -> float:
-    return known.corners[row, 2, 1] + 1000.0 * known.corners[row, 1].sum()
+    return _corner_of(known.corners, row)
 
 
 @pytest.mark.parametrize("on", [False, True])
@@ -127,8 +134,7 @@ def test_inner_shapes_are_known():
     _sum(known, 3, out)
     assert out.tolist() == [9.0 + 10.0 + 11.0, 9.0 + 10.0 + 11.0, 5.0]
     assert _corner(known, 2) == 17.0 + 1000.0 * (14.0 + 15.0)
-    _sum(known._replace(corners=None), 1, out)
-    assert out[1] == 12.0
+    assert _corner(known._replace(corners=None), 2) == 0.5
 
 
 @pytest.mark.parametrize(("name", "shape"), [("rows", (5, 4)), ("corners", (4, 2, 3)), ("corners", (4, 3, 1))])

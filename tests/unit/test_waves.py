@@ -166,16 +166,17 @@ def aimed_rays(kind: str, rng: np.random.Generator, corners: np.ndarray, count: 
         return np.tile(eye, (len(x), 1)), centre - eye + extent * (x[:, None] * across + y[:, None] * up)
     if kind == "in beams":
         # 64 at a time, from one point or side by side, at what lies around a face: their packets are not given up.
-        middles, beams = corners.mean(axis=1), []
+        middles, origins, directions = corners.mean(axis=1), np.empty((count, 3)), np.ones((count, 3))
         for number in range(count // SIZE):
             middle = middles[rng.integers(len(corners))]
             around = np.argpartition(((middles - middle) ** 2).sum(axis=1), min(12, len(corners) - 1))[:12]
             targets = points_on(rng, corners[around], SIZE)
             way = rng.normal(size=3)
             way *= extent * rng.choice([0.003, 0.1, 1.0, 30.0, 3e3, 1e5]) / np.linalg.norm(way)
-            origins = targets if number % 3 == 0 else np.tile(middle, (SIZE, 1))
-            beams.append((origins + way, targets - origins - way))
-        return tuple(np.concatenate(each) for each in zip(*beams, strict=True))
+            wave = slice(SIZE * number, SIZE * (number + 1))
+            origins[wave] = (targets if number % 3 == 0 else middle) + way
+            directions[wave] = targets - origins[wave]
+        return origins[: count // SIZE * SIZE], directions[: count // SIZE * SIZE]
     if kind == "random":
         return rng.uniform(low - 0.2 * extent, high + 0.2 * extent, (count, 3)), rng.normal(size=(count, 3))
     if kind in ("from a point inside", "from around", "from far"):
