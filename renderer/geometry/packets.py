@@ -59,17 +59,18 @@ _H_X, _H_Y, _S_X, _S_Y, _REACH, _AT_HAND = 0, SIZE, 2 * SIZE, 3 * SIZE, 4 * SIZE
 # Beyond these float32 overflows, or lacks numbers, in products of two lengths.
 _SMALLEST, _LARGEST = 2.0**-40, 2.0**40
 _FAR_AWAY = 2.0**20
+_SHORTEST = 2.0**-900  # of a direction whose reciprocal is no infinity
 
 
 class Packet(NamedTuple):
     """The frustum of rays, whose lines are in `wave.scaled`, in world coordinates seen from c, along kx, ky, kz.
 
-    `coherent` says whether all have the first ray's main axis and its sign; without it nothing else is meant. Sides
-    are those at depth 0, where rays begin, `front` and `back` the range of that, both padded; (x, y, z) is c, and
-    `spread` 2 H; `unit` is the length of 1 in the tree's coordinates, and (center_x, ...) its center.
+    `rays` are those that are in it, as bits; where none is, nothing else is meant. Sides are those at depth 0, where
+    rays begin, `front` and `back` the range of that, both padded; (x, y, z) is c, and `spread` 2 H; `unit` is the
+    length of 1 in the tree's coordinates, and (center_x, ...) its center.
     """
 
-    coherent: bool
+    rays: int
     kx: int
     ky: int
     kz: int
@@ -96,50 +97,54 @@ class Packet(NamedTuple):
 
 
 @device
-def make_packet(wide: Bvh8, wave: Wave, count: int, far: float) -> Packet:
-    """Make a packet of the first `count` rays of a wave."""
+def _make_packet(wide: Bvh8, wave: Wave, left: int, count: int, far: float) -> Packet:
+    """Make a packet of those eights of `left`, among the first `count` rays, that go the way of the first ray left."""
+    first = lowest_bit(left)
     # As `make_ray` chooses: the first axis of the largest component.
     kz = 0
-    if abs(wave.directions[1, 0]) > abs(wave.directions[0, 0]):
+    if abs(wave.directions[1, first]) > abs(wave.directions[0, first]):
         kz = 1
-    if abs(wave.directions[2, 0]) > abs(wave.directions[kz, 0]):
+    if abs(wave.directions[2, first]) > abs(wave.directions[kz, first]):
         kz = 2
-    forward = wave.directions[kz, 0] > 0.0
+    forward = wave.directions[kz, first] > 0.0
     kx = (kz + 1) % 3
     ky = (kx + 1) % 3
     if not forward:
         kx, ky = ky, kx
-    x = np.float64(np.float32(wave.origins[kx, 0]))
-    y = np.float64(np.float32(wave.origins[ky, 0]))
-    z = np.float64(np.float32(wave.origins[kz, 0]))
+    x = np.float64(np.float32(wave.origins[kx, first]))
+    y = np.float64(np.float32(wave.origins[ky, first]))
+    z = np.float64(np.float32(wave.origins[kz, first]))
     sign = splat(1.0 if forward else -1.0, 8)
     most, least = splat(np.inf, 8), splat(-np.inf, 8)
     ox0, oy0, oz0, sx0, sy0 = most, most, most, most, most
     ox1, oy1, oz1, sx1, sy1 = least, least, least, least, least
-    odd = 0
-    for k in range(0, count, 8):
+    rays = 0
+    for k in range(0, SIZE, 8):
+        store(wave.scaled, _REACH + k, splat(np.float32(-1.0), 8))
+        if (left >> k) & 255 == 0:
+            continue
         dx = load(wave.directions, kx * SIZE + k, 8)
         dy = load(wave.directions, ky * SIZE + k, 8)
         dz = load(wave.directions, kz * SIZE + k, 8)
         ox = load(wave.origins, kx * SIZE + k, 8)
         oy = load(wave.origins, ky * SIZE + k, 8)
         oz = load(wave.origins, kz * SIZE + k, 8)
-        if count - k < 8:
-            some = numbers(8) < splat(np.int32(count - k), 8)
-            dx, dy, dz = (
-                choose(some, dx, splat(wave.directions[kx, 0], 8)),
-                choose(some, dy, splat(wave.directions[ky, 0], 8)),
-                choose(some, dz, splat(wave.directions[kz, 0], 8)),
-            )
-            ox, oy, oz = choose(some, ox, splat(x, 8)), choose(some, oy, splat(y, 8)), choose(some, oz, splat(z, 8))
+        # Lanes behind the last ray are the first one, and reach nowhere.
+        some = numbers(8) < splat(np.int32(count - k), 8)
+        dx = choose(some, dx, splat(wave.directions[kx, first], 8))
+        dy = choose(some, dy, splat(wave.directions[ky, first], 8))
+        dz = choose(some, dz, splat(wave.directions[kz, first], 8))
+        ox, oy, oz = choose(some, ox, splat(x, 8)), choose(some, oy, splat(y, 8)), choose(some, oz, splat(z, 8))
         depth = magnitude(dz)
         # Of two as large the first: the axes before kz must be less.
-        largest = (depth >= magnitude(dx)) & (depth >= magnitude(dy)) & (dz * sign > splat(0.0, 8))
+        main = (depth >= magnitude(dx)) & (depth >= magnitude(dy)) & (dz * sign > splat(_SHORTEST, 8))
         if kz > 0:
-            largest = largest & (depth > magnitude(dx if kx == 0 else dy))
+            main = main & (depth > magnitude(dx if kx == 0 else dy))
         if kz > 1:
-            largest = largest & (depth > magnitude(dx if kx == 1 else dy))
-        odd |= 255 & ~bits(largest)
+            main = main & (depth > magnitude(dx if kx == 1 else dy))
+        if bits(main) != 255:
+            continue
+        rays |= 255 << k
         inverse = splat(1.0, 8) / dz
         sx, sy = dx * inverse, dy * inverse
         aside = oz - splat(z, 8)
@@ -147,7 +152,8 @@ def make_packet(wide: Bvh8, wave: Wave, count: int, far: float) -> Packet:
         store(wave.scaled, _H_Y + k, narrow(oy - splat(y, 8) - sy * aside))
         store(wave.scaled, _S_X + k, narrow(sx))
         store(wave.scaled, _S_Y + k, narrow(sy))
-        store(wave.scaled, _REACH + k, narrow(splat(far * ROUND_UP, 8) * depth))
+        reach = narrow(splat(far * ROUND_UP, 8) * depth)
+        store(wave.scaled, _REACH + k, choose(some, reach, splat(np.float32(-1.0), 8)))
         sx, sy = sx * sign, sy * sign
         ox0, oy0, oz0, sx0, sy0 = (
             minimum(ox, ox0),
@@ -167,13 +173,15 @@ def make_packet(wide: Bvh8, wave: Wave, count: int, far: float) -> Packet:
     bottom, top = lowest(oy0), highest(oy1)
     low, high = lowest(oz0), highest(oz1)
     cx, cy, cz = component(wide.center, kx), component(wide.center, ky), component(wide.center, kz)
-    reach = max(max(abs(left - cx), abs(right - cx)), max(abs(bottom - cy), abs(top - cy)))
-    reach = max(reach, max(abs(low - cz), abs(high - cz)))
+    largest = max(max(abs(left - cx), abs(right - cx)), max(abs(bottom - cy), abs(top - cy)))
+    largest = max(largest, max(abs(low - cz), abs(high - cz)))
     spread = max(max(max(x - left, right - x), max(y - bottom, top - y)), max(z - low, high - z))
-    pad = 2.0 * PAD * (reach + 1.0 / wide.scale)
-    held = reach * wide.scale < _FAR_AWAY and _SMALLEST < wide.scale < _LARGEST
+    pad = 2.0 * PAD * (largest + 1.0 / wide.scale)
+    # Bounds do not know of a NaN, which c may be.
+    held = abs(x - cx) + abs(y - cy) + abs(z - cz) + largest < _FAR_AWAY / wide.scale
+    held = held and _SMALLEST < wide.scale < _LARGEST
     return Packet(
-        odd == 0 and held,
+        rays & first_bits(count) if held else 0,
         8 * kx,
         8 * ky,
         8 * kz,
@@ -292,8 +300,7 @@ def _reaching(wave: Wave, rays: int, distance: np.float32) -> int:
     """Which of the rays go on at a distance, as bits."""
     found = 0
     for k in range(0, SIZE, _LANES):
-        if (rays >> k) & _ALL != 0:
-            found |= bits(load(wave.scaled, _REACH + k, 16) >= splat(distance, 16)) << k
+        found |= bits(load(wave.scaled, _REACH + k, 16) >= splat(distance, 16)) << k
     return found & rays
 
 
@@ -420,25 +427,25 @@ def _meet(leaves: np.ndarray, leaf: int, lane: int, p: Packet, wave: Wave, k: in
 
 
 @device
-def _furthest(wave: Wave, count: int) -> int:
+def _furthest(wave: Wave) -> int:
     """How far the rays still reach, in all lanes."""
-    furthest = splat(np.float32(-1.0), 8)
-    for k in range(0, count, 8):
-        furthest = maximum(load(wave.scaled, _REACH + k, 8), furthest)
+    furthest = load(wave.scaled, _REACH, 16)
+    for k in range(_LANES, SIZE, _LANES):
+        furthest = maximum(load(wave.scaled, _REACH + k, 16), furthest)
     return splat(highest(furthest), 8)
 
 
 @device
-def descend(wide: Bvh8, p: Packet, wave: Wave, count: int, far: float, hides: bool, stack: np.ndarray) -> bool:
+def _descend(wide: Bvh8, p: Packet, wave: Wave, far: float, hides: bool, stack: np.ndarray) -> bool:
     """Write the nearest hits of a packet, as `closest_hit` gives them, or what `any_hit` finds; False: gave up."""
-    if not hides:
-        for k in range(0, count, 8):
+    rays = p.rays
+    for k in range(0, SIZE, 8):
+        if (rays >> k) & 255 != 0 and not hides:
             store(wave.t, k, splat(far, 8))
             store(wave.face, k, splat(np.int32(-1), 8))
             store(wave.b1, k, splat(0.0, 8))
             store(wave.b2, k, splat(0.0, 8))
-    reach = _furthest(wave, count)
-    rays = first_bits(count)
+    reach = _furthest(wave)
     node = 0
     size = 0
     work = shared = 0
@@ -472,7 +479,7 @@ def descend(wide: Bvh8, p: Packet, wave: Wave, count: int, far: float, hides: bo
                         may &= ~(255 << k)
                         changed |= _meet(wide.leaves, leaf, lane, p, wave, k, far, hides)
             if changed:
-                reach = _furthest(wave, count)
+                reach = _furthest(wave)
         rays = 0
         while size > 0 and rays == 0:
             size -= 1
@@ -481,6 +488,24 @@ def descend(wide: Bvh8, p: Packet, wave: Wave, count: int, far: float, hides: bo
             break
         node = entry(stack, size)
     if hides:
-        for i in range(count):
-            wave.found[i] = wave.scaled[0, _REACH + i] < np.float32(0.0)
+        for i in range(SIZE):
+            if (p.rays >> i) & 1 != 0:
+                wave.found[i] = wave.scaled[0, _REACH + i] < np.float32(0.0)
     return True
+
+
+@device
+def hits_of_packets(wide: Bvh8, wave: Wave, count: int, far: float, hides: bool, stack: np.ndarray) -> int:
+    """Write what the first `count` rays meet, a packet for each way that eights of them go.
+
+    Which are left, as bits: the eights that do not go one way, and packets that gave up.
+    """
+    left = first_bits(count)
+    rest = 0
+    while left != 0:
+        packet = _make_packet(wide, wave, left, count, far)
+        taken = packet.rays if packet.rays != 0 else left & (255 << (lowest_bit(left) & 56))
+        if packet.rays == 0 or not _descend(wide, packet, wave, far, hides, stack):
+            rest |= taken
+        left &= ~taken
+    return rest

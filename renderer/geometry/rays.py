@@ -18,6 +18,7 @@ from termwise.renderer.geometry.polygons import (
     closest_hits_among_polygons,
     first_bits,
 )
+from termwise.renderer.geometry.simd import count_bits
 from termwise.renderer.geometry.streams import any_hits_of_stream, closest_hits_of_stream
 from termwise.renderer.geometry.wave import BACKOFF, SIZE, Wave, put_hit
 from termwise.renderer.jit import device, kernel, subroutine
@@ -37,14 +38,13 @@ def _hopeful(wave: Wave, kind: int) -> bool:
 
 
 @device
-def _learn(wave: Wave, kind: int, paid: bool) -> bool:
-    """Remember whether a packet paid, and return it."""
+def _learn(wave: Wave, kind: int, paid: bool) -> None:
+    """Remember whether packets paid."""
     if paid:
         wave.backoff[kind, 1] = BACKOFF
     else:
         wave.backoff[kind, 0] = wave.backoff[kind, 1]
         wave.backoff[kind, 1] = min(2 * wave.backoff[kind, 1], packets.MOST_BACKOFF)
-    return paid
 
 
 @device
@@ -71,13 +71,13 @@ if _VECTORS:
         return bvh8_traverse.any_hit(tree.bvh8, ray, far, ignore, target, stack)
 
     @device
-    def _closest_hits_of_packet(tree: Tree, wave: Wave, count: int, far: float, stack: np.ndarray) -> bool:
-        """Whether the rays were a packet that paid, whose hits are then written."""
-        if not _hopeful(wave, _NEAREST):
-            return False
-        packet = packets.make_packet(tree.bvh8, wave, count, far)
-        paid = packet.coherent and packets.descend(tree.bvh8, packet, wave, count, far, False, stack)
-        return _learn(wave, _NEAREST, paid)
+    def _left_by_packets(tree: Tree, wave: Wave, count: int, far: float, kind: int, stack: np.ndarray) -> int:
+        """Which of the first `count` rays no packet has taken, as bits."""
+        if not _hopeful(wave, kind):
+            return first_bits(count)
+        left = packets.hits_of_packets(tree.bvh8, wave, count, far, kind == _ANY, stack)
+        _learn(wave, kind, 2 * count_bits(left) < count)
+        return left
 
     @subroutine
     def closest_hits_of_wave(
@@ -88,18 +88,9 @@ if _VECTORS:
         if tree.polygons.count > 0:
             left = closest_hits_among_polygons(corners, tree.polygons, wave, count, far)
         elif coherent:
-            if _closest_hits_of_packet(tree, wave, count, far, stack):
-                left = 0
+            left = _left_by_packets(tree, wave, count, far, _NEAREST, stack)
         if left != 0:
             closest_hits_of_stream(tree.bvh8, wave, left, far, stack)
-
-    @device
-    def _any_hits_of_packet(tree: Tree, wave: Wave, count: int, far: float, stack: np.ndarray) -> bool:
-        if not _hopeful(wave, _ANY):
-            return False
-        packet = packets.make_packet(tree.bvh8, wave, count, far)
-        paid = packet.coherent and packets.descend(tree.bvh8, packet, wave, count, far, True, stack)
-        return _learn(wave, _ANY, paid)
 
     @subroutine
     def any_hits_of_wave(
@@ -110,8 +101,7 @@ if _VECTORS:
         if tree.polygons.count > 0:
             left = any_hits_among_polygons(tree.polygons, wave, count, far)
         elif coherent:
-            if _any_hits_of_packet(tree, wave, count, far, stack):
-                left = 0
+            left = _left_by_packets(tree, wave, count, far, _ANY, stack)
         if left != 0:
             any_hits_of_stream(tree.bvh8, wave, left, far, stack)
 

@@ -294,11 +294,12 @@ def test_rays_that_leave_faces_and_aim_at_faces(name, far):
     assert 0.05 < expected[:, 4].mean() < 0.99
 
 
-def test_one_ray_that_float32_cannot_hold_spoils_no_other_of_its_wave():
-    """Among rays of a room some with NaN, infinite, huge and tiny numbers, and from far beyond float32's bounds."""
-    corners = np.ascontiguousarray(mesh("room"))
+@pytest.mark.parametrize(("name", "kind"), [("room", "random"), ("soup", "in beams"), ("ball", "of a camera")])
+def test_one_ray_that_float32_cannot_hold_spoils_no_other_of_its_wave(name, kind):
+    """Some rays with NaN, infinite, huge and tiny numbers, and from far beyond what float32 holds, the first too."""
+    corners = np.ascontiguousarray(mesh(name))
     rng = np.random.default_rng(9)
-    origins, directions = aimed_rays("random", rng, corners, 640)
+    origins, directions = (np.array(a) for a in aimed_rays(kind, rng, corners, 640))
     odd = itertools.product((np.nan, np.inf, -np.inf, 1e30, 1e9, 1e-320), range(3), (origins, directions))
     for row, (number, axis, array) in enumerate(odd):
         array[13 * row, axis] = number
