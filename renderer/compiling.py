@@ -1,7 +1,8 @@
-"""Pipelines of Numba: what kernels are compiled by, and functions that are linked into kernels and run nowhere else.
+"""Numba's pipelines for kernels, and for functions that are linked into kernels and run nowhere else.
 
-Numba makes machine code of each function that it compiles, and again of each kernel that a function is linked into.
-Nine functions of ten are never called but by kernels: of these LLVM's bitcode is kept, and machine code is not made.
+Loops are vectorised as widely as the processor can, and indices counted from the begin of an array. Numba makes machine
+code of each function that it compiles, and again of each kernel that a function is linked into: nine functions of ten
+are never called but by kernels, and of these only LLVM's bitcode is kept.
 """
 
 import weakref

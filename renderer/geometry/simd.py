@@ -427,29 +427,6 @@ def count_bits(typingctx: Any, value: Any) -> Any:
     return types.int64(types.int64), lambda context, builder, sig, args: builder.ctpop(args[0])
 
 
-@intrinsic
-def gather(typingctx: Any, array: Any, index: Any) -> Any:
-    """Lanes `array[index[i]]` of a C-contiguous array, counted over all of it; index lanes are int32.
-
-    A load of each lane: no slower than the instruction that gathers, on AMD's processors faster.
-    """
-    if not (isinstance(array, types.Array) and array.layout == "C" and isinstance(index, Vector)):
-        return None
-    vector = Vector(array.dtype, index.lanes)
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = _data(context, builder, sig, args)
-        places = builder.sext(args[1], ir.VectorType(ir.IntType(64), index.lanes))
-        gathered = ir.Constant(context.get_value_type(vector), ir.Undefined)
-        for i in range(index.lanes):
-            lane = ir.Constant(ir.IntType(32), i)
-            place = builder.gep(data, [builder.extract_element(places, lane)], inbounds=True)
-            gathered = builder.insert_element(gathered, builder.load(place), lane)
-        return gathered
-
-    return vector(array, index), codegen
-
-
 @intrinsic(prefer_literal=True)
 def load_ints(typingctx: Any, array: Any, start: Any, lanes: Any) -> Any:
     """int32 lanes that begin `start` times 4 bytes after the begin of a C-contiguous array of any type."""
