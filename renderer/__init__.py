@@ -85,9 +85,8 @@ def render_terms(
 ) -> dict[str, TermImage]:
     """Render several terms, the same bits as one by one; see `render`.
 
-    One tree serves all of them, what the camera rays of one term meet serves the next where the counts of both are
-    even, and so do photon maps where both mean the same: its `seconds` are then without them. Direct and specular take
-    0.64 to 0.84 of the processor time with photon maps (three scenes, 16 samples).
+    One tree serves all of them, and so do photon maps where two terms mean the same: the `seconds` of the later one are
+    then without them. Direct and specular take 0.64 to 0.84 of the processor time (three scenes, 16 samples).
 
     Parameters
     ----------

@@ -6,7 +6,6 @@ Sweeps are prefixes: the sums after 1, 2, 4, ... samples of one run, so that a s
 import os
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import NamedTuple, Self
@@ -15,7 +14,18 @@ import numpy as np
 
 from termwise.renderer import photon_map, photon_tracing
 from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays, from_scene, most_survival
-from termwise.renderer.counts import AT_CORNERS, LEAST, Contrast, contrast, corner_camera, corners_of, counts, scatter
+from termwise.renderer.counts import (
+    LEAST,
+    Contrast,
+    contrast,
+    corner_camera,
+    corners_of,
+    counts,
+    grade,
+    prepare,
+    scatter,
+    spend,
+)
 from termwise.renderer.film import ALONE, GeometryImages, Tile, trace_centres
 from termwise.renderer.jit import warm
 from termwise.renderer.plan import (
@@ -30,7 +40,7 @@ from termwise.renderer.plan import (
     skipped,
 )
 from termwise.renderer.rng import root, stream
-from termwise.renderer.scratch import COUNTERS, NOTHING_SEEN, SEEN_BYTES, Scratch, Seen, new_scratch, new_seen
+from termwise.renderer.scratch import COUNTERS, Scratch, new_scratch
 from termwise.renderer.terms.estimator import Cancelled, Compiled, Prefix, Progress, Request
 from termwise.renderer.terms.variant import Chain, Stored, Variant
 from termwise.scenes.arguments import whole
@@ -38,11 +48,11 @@ from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE, TERMS, Term
 
 TILE = 32
-# Calls of a kernel, each for several tiles: one costs 25 to 60 µs, mostly Python's, which threads do not share.
-# Parts of much work stay many, so that none waits long for another, nor who calls the work off.
-_FEWEST_PARTS, _MOST_PARTS, _SAMPLES_A_PART = 1, 8, 2**16
+# A call of a kernel costs 25 to 60 µs, mostly Python's, which threads do not share: of little work each thread takes
+# all that it is dealt in one. Of much work a call takes so many samples: who calls it off does not wait long.
+_MOST_CALLS, _SAMPLES_A_CALL = 8, 2**16
 # Small images get smaller tiles, so many a thread at least that none waits long for the others.
-_TILES_A_THREAD, _SMALLEST = 4, 4
+_TILES_A_THREAD, _SMALLEST = 16, 4
 # Samples that share a map of a search for the k nearest at the vertices of a chain: its radius does not shrink.
 _CHAINS_A_MAP = 128
 
@@ -50,25 +60,32 @@ _CHAINS_A_MAP = 128
 _CORNERS = stream(root(0, 0), 1 << 41)
 
 
-def _tiles(wanted: np.ndarray, *, least: int) -> list[Tile]:
-    """Tiles that hold the wanted pixels (H, W) bool; at least `least` of them, if the image is large enough."""
+def _tiles(wanted: np.ndarray, *, least: int) -> np.ndarray:
+    """Tiles (T, 4) int64 that hold the wanted pixels (H, W) bool; `least` or more, if the image is large enough.
+
+    A row is `(x0, y0, x1, y1)`, as of `film.Tile`.
+    """
     height, width = wanted.shape
     side = TILE
     while side > _SMALLEST and -(-width // side) * -(-height // side) < least:
         side //= 2
-    tiles = []
-    for y in range(0, height, side):
-        for x in range(0, width, side):
-            rows, columns = np.nonzero(wanted[y : y + side, x : x + side])
-            if len(rows):
-                x0, y0 = x + int(columns.min()), y + int(rows.min())
-                tiles.append(Tile(x0, y0, x + int(columns.max()) + 1, y + int(rows.max()) + 1))
-    return tiles
+    down, across = -(-height // side), -(-width // side)
+    padded = np.zeros((down * side, across * side), np.bool_)
+    padded[:height, :width] = wanted
+    cut = padded.reshape(down, side, across, side)
+    rows, columns = cut.any(axis=3).swapaxes(1, 2), cut.any(axis=1)
+    row, column = np.nonzero(rows.any(axis=2))
+    rows, columns = rows[row, column], columns[row, column]
+    x, y = column * side, row * side
+    # The first and the last row and column of each that holds any.
+    low, high = (columns.argmax(axis=1), rows.argmax(axis=1)), (columns[:, ::-1], rows[:, ::-1])
+    far = (side - each.argmax(axis=1) for each in high)
+    return np.column_stack([x + low[0], y + low[1], *(begin + end for begin, end in zip((x, y), far, strict=True))])
 
 
-def _work(tiles: list[Tile], split: int) -> np.ndarray:
+def _work(tiles: np.ndarray, split: int) -> np.ndarray:
     """Samples of the tiles' pixels, (N, 5) int64, see `film.PrimaryHits`."""
-    return np.column_stack([np.array(tiles, np.int64).reshape(-1, 4), np.full(len(tiles), split)])
+    return np.column_stack([tiles, np.full(len(tiles), split)])
 
 
 class _Task(NamedTuple):
@@ -89,9 +106,8 @@ class Engine:
     threads : number of threads; None: one a core.
     without : names of `renderer.plan.SKIPS` that are not taken: the same bytes for more work; or of REDUCTIONS: the
         same mean for more noise.
-    kept_bytes : memory for photon maps, and as much for what camera rays meet, kept while one replicate is rendered:
-        terms that mean the same maps trace them once, and all terms the camera rays, which changes no bit, but the
-        seconds of those that come later.
+    kept_bytes : memory for photon maps that are kept while one replicate is rendered: terms that mean the same maps
+        trace them once, which changes no bit, but the seconds of those that come later.
     pixel : (x, y) of the one pixel that is rendered, to the bit as in a whole image; all others stay black.
 
     Attributes
@@ -128,8 +144,9 @@ class Engine:
         self._kept_bytes = kept_bytes
         self._maps: dict[tuple, photon_map.PhotonMap] = {}
         self.contrasts: dict[_Task, Contrast | None] = {}
+        # Of terms that count by contrast: the pixels it is about, and the work at their corners.
+        self._corners: dict[Term, tuple[np.ndarray, np.ndarray]] = {}
         width, height = scene.resolution
-        self._seen, self._seen_key = NOTHING_SEEN, np.uint64(0)
         everywhere = np.full((height, width), pixel is None)
         if pixel is not None:
             for name, at, size in zip("xy", pixel, (width, height), strict=True):
@@ -146,7 +163,7 @@ class Engine:
             for term in TERMS
         }
 
-    def _tiles(self, wanted: np.ndarray) -> list[Tile]:
+    def _tiles(self, wanted: np.ndarray) -> np.ndarray:
         """Tiles that hold the wanted pixels."""
         return _tiles(wanted, least=_TILES_A_THREAD * self._threads)
 
@@ -256,9 +273,7 @@ class Engine:
         photons = photon_map.empty()
         # Each pass has its own radius, hence its own map.
         per_map = _CHAINS_A_MAP if chain == "paper" and TABLE[variant.term].meets else 1
-        tiles = self.tiles[variant.term]
         split = 1 if "splitting" in self.without else variant.split(self.scene)
-        counted = by_contrast(self.scene, variant, chain, self.without)
         begin, taken = np.zeros((height, width), np.int32), np.ones((height, width, 1))
         done = 0
         self._warm(task, key, out)
@@ -272,11 +287,9 @@ class Engine:
                     last = min(count, (number + 1) * per_map)
                     photons = self._shared(task, key, number, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
-                work = _work(tiles, split if last > ALONE else 1)
+                work = _work(self.tiles[variant.term], split if last > ALONE else 1)
                 end = self._counts(task, last, cancel)
-                # Where terms count by themselves, little of what camera rays meet would be shared.
-                seen = NOTHING_SEEN if counted else self._room_for_hits(key, request.samples)
-                self._add(driver, inputs, key, work, begin, end, out, seen, cancel)
+                self._add(driver, inputs, key, work, begin, end, out, cancel)
                 self._add_beyond(variant.term, out, last - first)
                 taken[:, :, 0] = end
                 begin, done = end, last
@@ -287,33 +300,36 @@ class Engine:
     def _counts(self, task: _Task, samples: int, cancel: threading.Event | None) -> np.ndarray:
         """How many of a run's first samples are each pixel's, (H, W) int32: what all prefixes agree upon."""
         width, height = self.scene.resolution
-        each = np.full((height, width), samples, np.int32)
-        if not self._counts_by_contrast(task.variant, task.chain, samples):
-            return each
-        if task not in self.contrasts:
-            self.contrasts[task] = self._contrast(task, cancel)
-        if (found := self.contrasts[task]) is not None:
-            each[found.wanted] = counts(found, samples)
-        return each
+        found = None
+        if self._counts_by_contrast(task.variant, task.chain, samples):
+            if task not in self.contrasts:
+                self.contrasts[task] = self._contrast(task, cancel)
+            found = self.contrasts[task]
+        return np.full((height, width), samples, np.int32) if found is None else counts(found, samples)
 
     def _counts_by_contrast(self, variant: Variant, chain: Chain, samples: int) -> bool:
         decided = samples > LEAST and by_contrast(self.scene, variant, chain, self.without)
         return decided and skipped(self.scene, variant.term) is None
 
     def _contrast(self, task: _Task, cancel: threading.Event | None) -> Contrast | None:
-        """How much pixels vary, by samples at their corners: the same for all replicates."""
+        """How much pixels vary, by a sample at each of their corners: the same for all replicates."""
         width, height = self.scene.resolution
-        term = task.variant.term
-        wanted = may_see(self.scene, term)
-        if needs_every_pixel(self.scene, term):
-            wanted[:] = True
+        wanted, work = self._at_corners(task.variant.term)
         arrays = self.arrays._replace(camera=corner_camera(self.arrays.camera))
         inputs = task.variant.inputs(self.scene, task.chain, photon_map.empty())
-        work = _work(self._tiles(corners_of(wanted)), 1)
         image = np.zeros((height + 1, width + 1, 3))
-        first, last = (np.full(image.shape[:2], each, np.int32) for each in (0, AT_CORNERS))
-        self._run(arrays, task.driver, inputs, _CORNERS, work, first, last, image, NOTHING_SEEN, cancel)
+        first, last = (np.full(image.shape[:2], each, np.int32) for each in (0, 1))
+        self._run(arrays, task.driver, inputs, _CORNERS, work, first, last, image, cancel)
         return contrast(image, wanted)
+
+    def _at_corners(self, term: Term) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels that may see something of a term, (H, W) bool, and the work at their corners."""
+        if term not in self._corners:
+            wanted = may_see(self.scene, term)
+            if needs_every_pixel(self.scene, term):
+                wanted[:] = True
+            self._corners[term] = wanted, _work(self._tiles(corners_of(wanted)), 1)
+        return self._corners[term]
 
     def _add_beyond(self, term: Term, out: np.ndarray, samples: int) -> None:
         """What `samples` of a term add beyond its window, the constant sky, rounded as a kernel's sum is."""
@@ -322,8 +338,8 @@ class Engine:
             return
         beyond = np.zeros(out.shape[:2], np.bool_)
         for tiles, is_beyond in ((self._everywhere, True), (self.tiles[term], False)):
-            for tile in tiles:
-                beyond[tile.y0 : tile.y1, tile.x0 : tile.x1] = is_beyond
+            for x0, y0, x1, y1 in tiles.tolist():
+                beyond[y0:y1, x0:x1] = is_beyond
         if not beyond.any():
             return
         constant, summed = np.array(radiance), out[beyond][0]
@@ -337,10 +353,10 @@ class Engine:
         shape = (height, width)
         images = GeometryImages(np.full(shape, np.inf), np.zeros((*shape, 3)), np.full(shape, -1), np.full(shape, -1))
 
-        def draw(tile: Tile) -> None:
-            trace_centres(self.arrays, tile, images, self._scratch())
+        def draw(tile: list[int]) -> None:
+            trace_centres(self.arrays, Tile(*tile), images, self._scratch())
 
-        for _ in self.pool.map(draw, self._everywhere):
+        for _ in self.pool.map(draw, self._everywhere.tolist()):
             pass
         return images
 
@@ -353,11 +369,10 @@ class Engine:
         begin: np.ndarray,
         end: np.ndarray,
         out: np.ndarray,
-        seen: Seen,
         cancel: threading.Event | None,
     ) -> None:
         """Add the samples [begin, end) of each pixel to the image."""
-        self._run(self.arrays, driver, inputs, key, work, begin, end, out, seen, cancel)
+        self._run(self.arrays, driver, inputs, key, work, begin, end, out, cancel)
 
     def _run(
         self,
@@ -369,47 +384,28 @@ class Engine:
         begin: np.ndarray,
         end: np.ndarray,
         out: np.ndarray,
-        seen: Seen,
         cancel: threading.Event | None,
     ) -> None:
         scratch = self._unless(cancel)
-        parts = deque(self._parts(work, (end - begin).sum() / end.size))
+        threads = max(1, min(self._threads, len(work)))
+        calls = max(1, min(_MOST_CALLS, int((end - begin).sum()) // (threads * _SAMPLES_A_CALL)))
+        dealt = np.zeros(1, np.int64)
+        most = len(work) if calls == 1 else -(-len(work) // (threads * calls))
 
         def draw() -> None:
-            while True:
-                try:
-                    part = parts.popleft()
-                except IndexError:
-                    return
-                driver(arrays, *inputs, key, part, out, scratch()._replace(begin=begin, end=end, seen=seen))
+            while dealt[0] < len(work):
+                memory = scratch()._replace(begin=begin, end=end, dealt=dealt, most=most)
+                driver(arrays, *inputs, key, work, out, memory)
 
         # The calling thread is one of them: another takes 0.1 ms to wake.
-        others = [self.pool.submit(draw) for _ in range(min(self._threads, len(parts)) - 1)]
+        others = [self.pool.submit(draw) for _ in range(threads - 1)]
         try:
             draw()
         finally:
-            parts.clear()
+            dealt[0] = len(work)
             wait(others)
         for other in others:
             other.result()
-
-    def _room_for_hits(self, key: np.uint64, samples: int) -> Seen:
-        """Room for what the camera rays of a replicate meet; what another one has left there is forgotten."""
-        width, height = self.scene.resolution
-        room = min(samples, self._kept_bytes // (width * height * SEEN_BYTES))
-        if room > self._seen.face.shape[1]:
-            self._seen = new_seen(height, width, room)
-        elif self._seen_key != key:
-            self._seen.known[:] = 0
-        self._seen_key = key
-        return self._seen
-
-    def _parts(self, work: np.ndarray, samples: float) -> list[np.ndarray]:
-        """Work (N, 5), of so many samples a pixel, in parts of every n-th tile, which take about the same time."""
-        x0, y0, x1, y1, _ = work.T
-        wanted = int(np.sum((x1 - x0) * (y1 - y0)) * samples) // (self._threads * _SAMPLES_A_PART)
-        count = max(1, min(len(work), self._threads * min(_MOST_PARTS, max(_FEWEST_PARTS, wanted))))
-        return [np.ascontiguousarray(work[part::count]) for part in range(count)]
 
     def _warm(self, task: _Task, key: np.uint64, out: np.ndarray) -> None:
         """Compile before the clock starts; once is enough."""
@@ -422,7 +418,11 @@ class Engine:
         inputs = task.variant.inputs(self.scene, task.chain, photons)
         warm(task.driver, self.arrays, *inputs, key, np.zeros((0, 5), np.int64), out, self._scratch())
         if by_contrast(self.scene, task.variant, task.chain):
-            warm(scatter, out, out[:, :, 0] > 0.0, *np.empty((2, 0, 0)))
+            warm(scatter, *prepare(0, 0))
+            level, pixels = np.empty((0, 0), np.int64), np.empty(0, np.int64)
+            warm(grade, np.empty((0, 0)), np.empty((0, 0), np.bool_), level, pixels)
+            warm(spend, level, pixels, 0, np.empty((0, 0), np.int32))
+            self._at_corners(task.variant.term)
         self._warmed.add(task)
         self.compile_seconds += time.perf_counter() - start
 

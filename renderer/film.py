@@ -6,13 +6,14 @@ import numpy as np
 
 from termwise.renderer.arrays import CameraArrays, SceneArrays
 from termwise.renderer.camera import CENTRE, JITTER, camera_ray, direction_through, point_in_pixel
+from termwise.renderer.dealing import deal
 from termwise.renderer.geometry.wave import SIZE, hit_of, put_hit, put_ray
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.rng import fold
 from termwise.renderer.scratch import Scratch
 from termwise.renderer.sobol import Sampler
 from termwise.renderer.surface import trace, trace_wave
-from termwise.renderer.vector import Vec3, column, length, put_column, sub, vec3
+from termwise.renderer.vector import Vec3, add, column, length, put, put_column, sub, vec3
 
 # Samples of a pixel that have a camera ray each: edges need some before the rest shares.
 ALONE = 4
@@ -59,19 +60,22 @@ class PrimaryHits(NamedTuple):
     """The wave of primary hits at hand, and where it stands in the work.
 
     Work is (N, 5) int64, a row `(x0, y0, x1, y1, split)`: the samples of a tile's pixels that `scratch.begin` and
-    `scratch.end` say, `split` of which share a camera ray. Many small tiles take one call of a kernel.
+    `scratch.end` say, `split` of which share a camera ray. Threads are dealt its rows one by one, and one call of a
+    kernel may take many.
 
     Attributes
     ----------
     count : how many, those of `scratch.primary`; 0 where there are no more.
     ends_tile : whether they are the last ones of their tile; a wave has no second one.
     split : of the item.
+    taken : how many items this call has been dealt.
     item, next_x, next_y, next_index : of the next primary hit.
     """
 
     count: int
     ends_tile: bool
     split: int
+    taken: int
     item: int
     next_x: int
     next_y: int
@@ -81,7 +85,7 @@ class PrimaryHits(NamedTuple):
 @device
 def no_hits() -> PrimaryHits:
     """What stands before the first wave."""
-    return PrimaryHits(0, True, 1, -1, 0, 0, 0)
+    return PrimaryHits(0, True, 1, 0, 0, 0, 0, 0)
 
 
 @device
@@ -101,17 +105,18 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Primar
 
     A primary hit is what one camera ray meets, for `split` samples. Rays of one pixel, or of a few side by side, go
     the same way: they make packets. Rays through one point of their pixel are one ray, traced for its first primary hit
-    alone. What another term has traced is taken from `scratch.seen`.
+    alone.
 
     A driver calls it in one place, in a loop that has no end, and leaves at `count` 0. As the condition of a `while` it
     would be compiled twice: Python repeats the condition behind the body.
     """
-    split, item, x, y, index = hits.split, hits.item, hits.next_x, hits.next_y, hits.next_index
+    split, taken, item, x, y, index = hits.split, hits.taken, hits.item, hits.next_x, hits.next_y, hits.next_index
     begins = hits.ends_tile
     while begins:
-        item += 1
-        if item == len(work):
-            return PrimaryHits(0, True, split, item, x, y, index)
+        item = deal(scratch.dealt) if taken < scratch.most else len(work)
+        if item >= len(work):
+            return PrimaryHits(0, True, split, taken, item, x, y, index)
+        taken += 1
         x, y = _next_pixel(work[item], work[item, 0], work[item, 1], scratch)
         begins = y == work[item, 3]
     if hits.ends_tile:
@@ -122,13 +127,11 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Primar
     count = 0
     # The key of all randomness of a pixel.
     pixel = fold(key, y * scene.camera.width + x)
-    known = scratch.seen.face.shape[1] > 0
     while count < SIZE and y < tile[3]:
         scratch.x[count] = x
         scratch.y[count] = y
         scratch.pixel[count] = pixel
         scratch.index[count] = index
-        known = known and index < scratch.seen.known[y, x]
         count += 1
         index += 1
         if index == end:
@@ -140,12 +143,8 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Primar
             if y < tile[3]:
                 index, end = primary_hits_of(scratch.begin[y, x], scratch.end[y, x], split)
                 pixel = fold(key, y * scene.camera.width + x)
-    if known:
-        for i in range(count):
-            _recall(scene, i, scratch)
-    else:
-        _look(scene, split, count, scratch)
-    return PrimaryHits(count, y == tile[3], split, item, x, y, index)
+    _look(scene, split, count, scratch)
+    return PrimaryHits(count, y == tile[3], split, taken, item, x, y, index)
 
 
 @device
@@ -156,7 +155,7 @@ def _is_first(i: int, split: int, scratch: Scratch) -> bool:
 
 @device
 def _look(scene: SceneArrays, split: int, count: int, scratch: Scratch) -> None:
-    """Trace the first `count` primary hits, and keep those there is room for."""
+    """Trace the first `count` primary hits."""
     primary, camera = scratch.primary, scene.camera
     # Loops of their own: what hashes and maps eight points is vectorised.
     for i in range(count):
@@ -165,13 +164,15 @@ def _look(scene: SceneArrays, split: int, count: int, scratch: Scratch) -> None:
         direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])
         put_column(primary.directions, i, direction)
     shared = camera.rule != JITTER and scene.skips.pixel
-    before = hit_of(primary, SIZE - 1)
-    asked = 0
     for i in range(count):
+        put_ray(primary, i, camera.position, column(primary.directions, i))
+    before, asked = hit_of(primary, SIZE - 1), count
+    if shared:
         # The rays of a pixel are one; where a pixel goes on, it was traced with the 64 before.
-        if not shared or _is_first(i, split, scratch):
-            put_ray(primary, asked, camera.position, column(primary.directions, i))
-            asked += 1
+        asked = 0
+        for i in range(count):
+            put_column(primary.directions, asked, column(primary.directions, i))
+            asked += 1 if _is_first(i, split, scratch) else 0
     if asked > 0:
         trace_wave(scene, primary, asked, True, scratch)
     if shared:
@@ -181,29 +182,6 @@ def _look(scene: SceneArrays, split: int, count: int, scratch: Scratch) -> None:
         for i in range(count):
             direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])
             put_ray(primary, i, camera.position, direction)
-    seen = scratch.seen
-    for i in range(count):
-        x, y, index = scratch.x[i], scratch.y[i], scratch.index[i]
-        if index < seen.face.shape[1] and index == seen.known[y, x]:
-            seen.face[y, index, x] = primary.face[i]
-            seen.ray[y, index, x, 0] = primary.b1[i]
-            seen.ray[y, index, x, 1] = primary.b2[i]
-            for axis in range(3):
-                seen.ray[y, index, x, 2 + axis] = primary.directions[axis, i]
-            seen.known[y, x] += 1
-
-
-@device
-def _recall(scene: SceneArrays, i: int, scratch: Scratch) -> None:
-    """Take primary hit i from those that are kept."""
-    primary, seen = scratch.primary, scratch.seen
-    x, y, index = scratch.x[i], scratch.y[i], scratch.index[i]
-    ray = seen.ray[y, index]
-    put_ray(primary, i, scene.camera.position, Vec3(ray[x, 2], ray[x, 3], ray[x, 4]))
-    # Nothing asks for the distance of a primary hit.
-    primary.face[i] = seen.face[y, index, x]
-    primary.b1[i] = ray[x, 0]
-    primary.b2[i] = ray[x, 1]
 
 
 @device
@@ -212,6 +190,21 @@ def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
     out[y, x, 0] += radiance.x
     out[y, x, 1] += radiance.y
     out[y, x, 2] += radiance.z
+
+
+@device
+def accumulate_all(out: np.ndarray, row: np.ndarray, column: np.ndarray, radiance: np.ndarray, count: int) -> None:
+    """Add the first `count` radiances, rows of (N, 3), to their pixels, one by one and in this order."""
+    if count > 0:
+        y, x = row[0], column[0]
+        total = vec3(out[y], x)
+        for i in range(count):
+            if row[i] != y or column[i] != x:
+                put(out[y], x, total)
+                y, x = row[i], column[i]
+                total = vec3(out[y], x)
+            total = add(total, vec3(radiance, i))
+        put(out[y], x, total)
 
 
 class GeometryImages(NamedTuple):

@@ -8,14 +8,14 @@ import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry import simd
-from termwise.renderer.geometry.simd import choose, load, minimum, rows, splat, square_root, store
-from termwise.renderer.geometry.wave import SIZE
+from termwise.renderer.geometry.simd import choose, in_lanes, load, minimum, put_rows, rows, splat, square_root, store
 from termwise.renderer.jit import device
 from termwise.renderer.lights import BELOW_ONE, FACE, sample_light
 from termwise.renderer.material import emission
 from termwise.renderer.scratch import LightSamples
 from termwise.renderer.surface import Surface
-from termwise.renderer.vector import Vec3, column, entry, put_column, scale, vec3
+from termwise.renderer.textures import Textures
+from termwise.renderer.vector import column, entry, put_column, scale, vec3
 from termwise.renderer.warp import INV_PI
 
 _VECTORS = simd.available()
@@ -29,12 +29,7 @@ def sample_lights(scene: SceneArrays, samples: LightSamples, count: int) -> None
     if _VECTORS and not scene.pick_by_light and _faces_alone(scene):
         for k in range(0, count, 8):
             _sample_faces(scene, samples, k)
-        for i in range(count):
-            radiance = Vec3(0.0, 0.0, 0.0)
-            if samples.weight[i] > 0.0:
-                radiant = emission(scene, entry(samples.target, i), samples.b1[i], samples.b2[i])
-                radiance = scale(radiant, samples.weight[i])
-            put_column(samples.irradiance, i, radiance)
+        _by_images(scene, scene.materials.textures, samples, count)
         return
     for i in range(count):
         point, normal = column(samples.point, i), column(samples.normal, i)
@@ -54,8 +49,18 @@ def _faces_alone(scene: SceneArrays) -> bool:
 
 
 @device
+def _by_images(scene: SceneArrays, images: Textures | None, samples: LightSamples, count: int) -> None:
+    """Put what the points of lights send where images say it."""
+    if images is not None:
+        for i in range(count):
+            if samples.weight[i] > 0.0:
+                radiant = emission(scene, entry(samples.target, i), samples.b1[i], samples.b2[i])
+                put_column(samples.irradiance, i, scale(radiant, samples.weight[i]))
+
+
+@device
 def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
-    """Samples k ... k + 7, but for the radiance."""
+    """Samples k ... k + 7, with the radiance that objects send throughout."""
     geometry, emitters = scene.geometry, scene.emitters
     corners, faces = geometry.corners, emitters.faces
     u, v = load(samples.u, k, 8), load(samples.v, k, 8)
@@ -69,16 +74,17 @@ def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
             before = choose(behind, splat(emitters.cdf[index], 8), before)
         probability = zero
     # Of few faces each in turn is put where it was picked: faster than to gather what each lane has picked.
-    a = b = c = n = zero, zero, zero
+    a = b = c = n = radiant = zero, zero, zero
     area, face = zero, splat(np.int32(0), 8)
     for index in range(count):
         mine = picked == splat(np.int32(index), 8)
         row = entry(emitters.row, index)
         lamp = entry(faces.face, row)
-        a = _put(mine, vec3(corners[lamp], 0), a)
-        b = _put(mine, vec3(corners[lamp], 1), b)
-        c = _put(mine, vec3(corners[lamp], 2), c)
-        n = _put(mine, vec3(geometry.normals, lamp), n)
+        a = in_lanes(mine, vec3(corners[lamp], 0), a)
+        b = in_lanes(mine, vec3(corners[lamp], 1), b)
+        c = in_lanes(mine, vec3(corners[lamp], 2), c)
+        n = in_lanes(mine, vec3(geometry.normals, lamp), n)
+        radiant = in_lanes(mine, vec3(scene.materials.emission, entry(geometry.object, lamp)), radiant)
         area = choose(mine, splat(faces.area[row], 8), area)
         face = choose(mine, splat(np.int32(lamp), 8), face)
         if count > 1:
@@ -102,20 +108,10 @@ def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
     cos_surface = normal[0] * x + normal[1] * y + normal[2] * z
     strength = strength * (cos_surface / (square * distance))
     lit = (cos_light > zero) & (cos_surface > zero)
-    store(samples.way, k, x)
-    store(samples.way, SIZE + k, y)
-    store(samples.way, 2 * SIZE + k, z)
-    store(samples.weight, k, choose(lit, strength, zero))
+    strength = choose(lit, strength, zero)
+    put_rows(samples.way, k, (x, y, z))
+    put_rows(samples.irradiance, k, (radiant[0] * strength, radiant[1] * strength, radiant[2] * strength))
+    store(samples.weight, k, strength)
     store(samples.b1, k, b1)
     store(samples.b2, k, b2)
     store(samples.target, k, face)
-
-
-@device
-def _put(mine: int, v: Vec3, rest: tuple) -> tuple:
-    """A vector in the lanes of a mask, the rest in the others."""
-    return (
-        choose(mine, splat(v.x, 8), rest[0]),
-        choose(mine, splat(v.y, 8), rest[1]),
-        choose(mine, splat(v.z, 8), rest[2]),
-    )

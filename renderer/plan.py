@@ -15,9 +15,9 @@ import attrs
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of, light_samples
+from termwise.renderer.counts import LEAST
 from termwise.renderer.film import ALONE, primary_hits_of
 from termwise.renderer.photon_map import KEPT_BYTES
-from termwise.renderer.scratch import SEEN_BYTES
 from termwise.renderer.terms import VARIANTS
 from termwise.renderer.terms.variant import CHAINS, Chain, Stored, Variant
 from termwise.renderer.unoccluded import open_sides
@@ -343,7 +343,7 @@ def by_contrast(scene: Scene, variant: Variant, chain: Chain, without: Collectio
 def _counts(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     if not by_contrast(scene, variant, chain) or skipped(scene, variant.term):
         return None
-    return f"beyond {ALONE} samples, two at each corner of a pixel say how much it varies: N / 4 to 16 N"
+    return f"beyond {LEAST} samples, one at each corner of a pixel says how much it varies: N / 4 to 16 N"
 
 
 REDUCTIONS: dict[str, Reduction] = {
@@ -369,15 +369,13 @@ def plan(
 ) -> tuple[Step, ...]:
     """The steps of rendering `scene` with the given variants, `samples` a pixel, for one replicate.
 
-    `together`: the terms are rendered by one engine that keeps photon maps and what camera rays meet
-    (`renderer.render_terms`).
+    `together`: the terms are rendered by one engine that keeps photon maps (`renderer.render_terms`).
     """
     counts = samples if isinstance(samples, dict) else dict.fromkeys(TERMS, samples)
     steps = [step for term in TERMS for step in _steps(scene, variants[term], chain, counts[term], frozenset(without))]
     if not together:
         return tuple(steps)
-    steps = _with_shared_maps(scene, variants, chain, counts, steps, frozenset(without))
-    return tuple(_with_shared_rays(scene, variants, chain, counts, steps, frozenset(without)))
+    return tuple(_with_shared_maps(scene, variants, chain, counts, steps, frozenset(without)))
 
 
 def _with_shared_maps(
@@ -402,35 +400,6 @@ def _with_shared_maps(
         return Step(step.term, "photon maps", "reuse", saved, {"photons": emitted}, at_most=True)
 
     return [shared(step) for step in steps]
-
-
-def _with_shared_rays(
-    scene: Scene,
-    variants: dict[Term, Variant],
-    chain: Chain,
-    counts: dict[Term, int],
-    steps: list[Step],
-    without: frozenset[str],
-) -> list[Step]:
-    """The steps, those of camera rays that an earlier term has traced behind their kernels."""
-    found: list[Step] = []
-    before: list[str] = []
-    kept = 0  # hits of a pixel
-    room = KEPT_BYTES // (scene.resolution[0] * scene.resolution[1] * SEEN_BYTES)
-    for step in steps:
-        found.append(step)
-        counted = by_contrast(scene, variants[step.term], chain, without)
-        if counted or not (step.work.startswith("kernel") and step.runs):
-            continue
-        split = 1 if "splitting" in without else variants[step.term].split(scene)
-        hits = primary_hits_of(0, counts[step.term], split)[1]
-        if saved := min(kept, hits):
-            reason = f"those of {_names(before)}, as far as {KEPT_BYTES >> 20} MB hold them"
-            rays = {"rays": saved * int(np.count_nonzero(may_see(scene, step.term)))}
-            found.append(Step(step.term, "camera rays", "reuse", reason, rays, at_most=True))
-        before.append(step.term)
-        kept = max(kept, min(hits, room))
-    return found
 
 
 def _same_maps(scene: Scene, direct: Variant, other: Variant, chain: Chain) -> bool:

@@ -315,7 +315,8 @@ def main() -> None:
         begin, end = np.zeros((2, *out.shape[:2]), np.int32)
         begin[y, x], end[y, x] = sample, sample + 1
         work = np.array([[x, y, x + 1, y + 1, split]])
-        estimator.driver(scene, *inputs, key, work, out, scratch._replace(begin=begin, end=end))
+        memory = scratch._replace(begin=begin, end=end, dealt=np.zeros(1, np.int64), most=1)
+        estimator.driver(scene, *inputs, key, work, out, memory)
         pickle.dump((recorder.events, out[y, x]), answers)
         answers.flush()
 

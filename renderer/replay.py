@@ -24,7 +24,6 @@ import numpy as np
 from termwise.renderer.engine import Engine
 from termwise.renderer.plan import skipped
 from termwise.renderer.recorder import Event
-from termwise.renderer.scratch import Seen
 from termwise.renderer.terms import Chain, Variant
 from termwise.renderer.terms.estimator import Compiled
 from termwise.scenes.model import Scene
@@ -121,15 +120,14 @@ class _Recorded(Engine):
         begin: np.ndarray,
         end: np.ndarray,
         out: np.ndarray,
-        seen: Seen,
         cancel: threading.Event | None,
     ) -> None:
         ((x, y, _, _, split),) = work.tolist()
         given: tuple | None = inputs
         for index in range(begin[y, x], end[y, x]):
             alone, one = np.zeros_like(out), (np.full_like(begin, index), np.full_like(end, index + 1))
-            super()._add(driver, inputs, key, work, *one, alone, seen, cancel)
-            super()._add(driver, inputs, key, work, *one, out, seen, cancel)
+            super()._add(driver, inputs, key, work, *one, alone, cancel)
+            super()._add(driver, inputs, key, work, *one, out, cancel)
             events, traced = self._trace((given, key, x, y, index, split))
             given = None
             self.samples.append(Sample(index, events, alone[y, x], _ulp(traced, alone[y, x])))

@@ -18,31 +18,6 @@ COUNTERS = ("rays", "occlusion rays", "photons", "density estimates")
 RAYS, OCCLUSION_RAYS, PHOTONS, DENSITY_ESTIMATES = range(len(COUNTERS))
 
 
-@by_reference()
-class Seen(NamedTuple):
-    """What the camera rays of one replicate meet, kept for the terms that follow: all terms look along the same rays.
-
-    Attributes
-    ----------
-    known : (H, W) int32, how many primary hits of each pixel are kept, the first ones.
-    face : (H, S, W) int32, what each meets, -1 for nothing.
-    ray : (H, S, W, 5) float64, where on that face it does, b1 and b2, and its direction.
-    """
-
-    known: np.ndarray
-    face: np.ndarray
-    ray: np.ndarray
-
-
-def new_seen(height: int, width: int, hits: int) -> Seen:
-    """Make room for so many primary hits of each pixel; none is known yet."""
-    # What a row's primary hits write lies together: with those of a pixel together each takes twice as long.
-    shape = height, hits, width
-    return Seen(np.zeros((height, width), np.int32), np.empty(shape, np.int32), np.empty((*shape, 5)))
-
-
-SEEN_BYTES = 4 + 5 * 8  # of a primary hit
-NOTHING_SEEN = new_seen(0, 0, 0)
 NO_SAMPLES = np.zeros((0, 0), np.int32)
 
 
@@ -80,7 +55,7 @@ def _new_light_samples() -> LightSamples:
     return LightSamples(*map(on_own_lines, arrays))
 
 
-@by_reference(radiance=(3,), weight=(3,), lanes=(8,))
+@by_reference(radiance=(3,), weight=(3,), front=(3,), lanes=(8,))
 class Scratch(NamedTuple):
     """Memory of one thread.
 
@@ -93,6 +68,8 @@ class Scratch(NamedTuple):
         row, the key of the pixel's randomness, and its number within the pixel.
     column, row : (64,) int64 each, the pixel of each that waits: of a primary hit, or of a light sample.
     radiance, weight : (64, 3) float64, what it receives, and by what that, or a ray's light, is multiplied.
+    front : (64, 3) float64, what arrives at the front of a translucent surface.
+    side : (64,) float64, the side of its face on which a ray has met each surface whose point is in `samples`.
     number, asks : (64,) int64 and bool, how many samples a primary hit is for, and whether they have rays.
     rays : the occlusion rays; `lane` (64,) int64 is the light sample of each, `share` (64,) float64 the translucency
         where it begins, or the share of the side that a light sample is of.
@@ -101,7 +78,8 @@ class Scratch(NamedTuple):
     samples : points that ask for light.
     lanes : (4, 8) float64 scratch of `photon_density`.
     begin, end : (H, W) int32 each, the samples [begin, end) of each pixel that are taken; all threads share them.
-    seen : the primary hits that are kept, which all threads share.
+    dealt : (1,) int64, how many items of the work are taken (see `dealing`); all threads share it.
+    most : how many of them one call may take.
     """
 
     stack: np.ndarray
@@ -115,6 +93,8 @@ class Scratch(NamedTuple):
     row: np.ndarray
     radiance: np.ndarray
     weight: np.ndarray
+    front: np.ndarray
+    side: np.ndarray
     number: np.ndarray
     asks: np.ndarray
     rays: Wave
@@ -128,7 +108,8 @@ class Scratch(NamedTuple):
     lanes: np.ndarray
     begin: np.ndarray
     end: np.ndarray
-    seen: Seen
+    dealt: np.ndarray
+    most: int
 
 
 def _zeros(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> np.ndarray:
@@ -149,6 +130,8 @@ def new_scratch() -> Scratch:
         _zeros(SIZE, np.int64),
         _zeros((SIZE, 3)),
         _zeros((SIZE, 3)),
+        _zeros((SIZE, 3)),
+        _zeros(SIZE),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.bool_),
         new_wave(),
@@ -162,5 +145,6 @@ def new_scratch() -> Scratch:
         _zeros((4, 8)),
         NO_SAMPLES,
         NO_SAMPLES,
-        NOTHING_SEEN,
+        np.zeros(1, np.int64),
+        0,
     )

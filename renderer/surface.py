@@ -11,8 +11,20 @@ import numpy as np
 
 from termwise.renderer import spheres
 from termwise.renderer.arrays import SceneArrays, ShadowRule
-from termwise.renderer.geometry import paper, rays
+from termwise.renderer.geometry import paper, rays, simd
 from termwise.renderer.geometry.intersect import FaceRange, Hit, Ray, make_ray
+from termwise.renderer.geometry.simd import (
+    bits,
+    choose,
+    in_lanes,
+    load,
+    lowest_bit,
+    negative,
+    put_rows,
+    rows,
+    splat,
+    store,
+)
 from termwise.renderer.geometry.wave import Wave, hit_of, put_hit
 from termwise.renderer.jit import device, subroutine
 from termwise.renderer.scratch import OCCLUSION_RAYS, RAYS, Scratch
@@ -20,6 +32,8 @@ from termwise.renderer.spheres import Spheres
 from termwise.renderer.triangles import Geometry, point_on_face, shading_normal
 from termwise.renderer.vector import Vec3, column, dot, entry, is_black, length, mad, mul, negate, put_column, sub, vec3
 
+_VECTORS = simd.available()
+_EIGHT = 2**8 - 1
 SAME = 2.0**-32  # of how far off and how long a way is: two points that are no further apart are one, rounded
 
 
@@ -246,10 +260,16 @@ def arriving_hidden(scene: SceneArrays, radiance: Vec3, wave: Wave, i: int, far:
 def put_leaving_ray(scene: SceneArrays, wave: Wave, i: int, point: Vec3, face: int) -> None:
     """Make ray i of a wave one that leaves a point of a face, its direction still to be put."""
     put_column(wave.origins, i, point)
+    put_leaving(scene, wave, i, face)
+    wave.target[i] = -1
+
+
+@device
+def put_leaving(scene: SceneArrays, wave: Wave, i: int, face: int) -> None:
+    """Let ray i of a wave pass what a ray passes that leaves a face."""
     ignore = _leaving(scene, face)
     wave.first[i] = ignore.first
     wave.end[i] = ignore.end
-    wave.target[i] = -1
 
 
 @device
@@ -289,6 +309,86 @@ def _trace_spheres(balls: Spheres | None, wave: Wave, count: int) -> None:
 def surface_of(scene: SceneArrays, wave: Wave, i: int) -> Surface:
     """What ray i of a wave has met."""
     return _surface(scene, hit_of(wave, i), column(wave.origins, i), column(wave.directions, i))
+
+
+@device
+def put_surfaces(scene: SceneArrays, wave: Wave, count: int, scratch: Scratch) -> None:
+    """Find where the first `count` rays of a wave have met something: `surface_at` has it of each.
+
+    Points and normals are those of `scratch.samples`.
+    """
+    _put_surfaces(scene, scene.geometry.spheres, wave, count, scratch)
+
+
+@device
+def _put_surfaces(scene: SceneArrays, balls: Spheres | None, wave: Wave, count: int, scratch: Scratch) -> None:
+    if balls is None and _VECTORS:
+        for k in range(0, count, 8):
+            _put_eight(scene, wave, k, scratch)
+    else:
+        for i in range(count):
+            _put_one(scene, wave, i, scratch)
+
+
+@device
+def _put_one(scene: SceneArrays, wave: Wave, i: int, scratch: Scratch) -> None:
+    surface = surface_of(scene, wave, i)
+    put_column(scratch.samples.point, i, surface.point)
+    put_column(scratch.samples.normal, i, surface.normal)
+    scratch.side[i] = surface.side
+
+
+@device
+def _put_eight(scene: SceneArrays, wave: Wave, k: int, scratch: Scratch) -> None:
+    """Surfaces k ... k + 7, by the expressions of `_met`; those of smooth faces one by one."""
+    geometry, samples = scene.geometry, scratch.samples
+    face, zero = load(wave.face, k, 8), splat(0.0, 8)
+    a = b = c = normal = zero, zero, zero
+    smooth = 0
+    left = _EIGHT & ~bits(face < splat(np.int32(0), 8))
+    while left != 0:
+        # Neighbours have mostly met one face.
+        one = entry(wave.face, k + lowest_bit(left))
+        mine = face == splat(np.int32(one), 8)
+        left &= ~bits(mine)
+        a = in_lanes(mine, vec3(geometry.corners[one], 0), a)
+        b = in_lanes(mine, vec3(geometry.corners[one], 1), b)
+        c = in_lanes(mine, vec3(geometry.corners[one], 2), c)
+        normal = in_lanes(mine, vec3(geometry.normals, one), normal)
+        if geometry.smooth[one]:
+            smooth |= bits(mine)
+    b1, b2 = load(wave.b1, k, 8), load(wave.b2, k, 8)
+    b0 = splat(1.0, 8) - b1 - b2
+    wo = rows(wave.directions, k)
+    wo = negative(wo[0]), negative(wo[1]), negative(wo[2])
+    behind = normal[0] * wo[0] + normal[1] * wo[1] + normal[2] * wo[2] < zero
+    store(scratch.side, k, choose(behind, splat(-1.0, 8), splat(1.0, 8)))
+    if scene.face_forward:
+        normal = (
+            choose(behind, negative(normal[0]), normal[0]),
+            choose(behind, negative(normal[1]), normal[1]),
+            choose(behind, negative(normal[2]), normal[2]),
+        )
+    put_rows(
+        samples.point,
+        k,
+        (b0 * a[0] + b1 * b[0] + b2 * c[0], b0 * a[1] + b1 * b[1] + b2 * c[1], b0 * a[2] + b1 * b[2] + b2 * c[2]),
+    )
+    put_rows(samples.normal, k, normal)
+    while smooth != 0:
+        _put_one(scene, wave, k + lowest_bit(smooth), scratch)
+        smooth &= smooth - 1
+
+
+@device
+def surface_at(scene: SceneArrays, wave: Wave, i: int, scratch: Scratch) -> Surface:
+    """What ray i of a wave has met, once `put_surfaces` has found it."""
+    face, wo = entry(wave.face, i), negate(column(wave.directions, i))
+    if face < 0:
+        return Surface(column(wave.origins, i), wo, wo, -1, -1, 1.0, 0.0, 0.0)
+    point, normal = column(scratch.samples.point, i), column(scratch.samples.normal, i)
+    thing = entry(scene.geometry.object, face)
+    return Surface(point, normal, wo, face, thing, scratch.side[i], wave.b1[i], wave.b2[i])
 
 
 @device

@@ -35,6 +35,7 @@ from termwise.renderer.geometry.simd import (
     fma,
     fms,
     highest,
+    in_lanes,
     load,
     lowest,
     lowest_bit,
@@ -50,7 +51,7 @@ from termwise.renderer.geometry.simd import (
 from termwise.renderer.geometry.wave import SIZE, Wave
 from termwise.renderer.jit import device, subroutine
 from termwise.renderer.memory import on_own_lines
-from termwise.renderer.vector import Vec3, entry
+from termwise.renderer.vector import Vec3, entry, vec3
 
 LANES = 16
 # Polygons are bits of an integer, less its sign; up to there no tree is faster.
@@ -714,16 +715,6 @@ def _turned(v: tuple, along_y: int, along_z: int, back: int) -> tuple:
 
 
 @device
-def _corner(corners: np.ndarray, face: int, corner: int, mine: int, others: tuple) -> tuple:
-    """A corner of a face, in the lanes `mine`."""
-    return (
-        choose(mine, splat(corners[face, corner, 0], 8), others[0]),
-        choose(mine, splat(corners[face, corner, 1], 8), others[1]),
-        choose(mine, splat(corners[face, corner, 2], 8), others[2]),
-    )
-
-
-@device
 def _put_hits(corners: np.ndarray, wave: Wave, k: int, far: float) -> None:
     """Write distances and weights of what rays k ... k + 7 meet, by the expressions of `intersect_triangle`."""
     face = load(wave.face, k, 8)
@@ -740,9 +731,9 @@ def _put_hits(corners: np.ndarray, wave: Wave, k: int, far: float) -> None:
         one = entry(wave.face, k + lowest_bit(left))
         mine = face == splat(np.int32(one), 8)
         left &= ~bits(mine)
-        a = _corner(corners, one, 0, mine, a)
-        b = _corner(corners, one, 1, mine, b)
-        c = _corner(corners, one, 2, mine, c)
+        a = in_lanes(mine, vec3(corners[one], 0), a)
+        b = in_lanes(mine, vec3(corners[one], 1), b)
+        c = in_lanes(mine, vec3(corners[one], 2), c)
     o, d = rows(wave.origins, k), rows(wave.directions, k)
     along_y = magnitude(d[1]) > magnitude(d[0])
     main = choose(along_y, d[1], d[0])

@@ -22,6 +22,7 @@ from numba.extending import intrinsic as _intrinsic
 from numba.extending import lower_builtin, register_model
 
 from termwise.renderer.jit import device
+from termwise.renderer.vector import Vec3
 
 # pyright believes that an intrinsic is called with its typing context, and that `infer_global` may be None.
 intrinsic = cast(Any, _intrinsic)
@@ -215,6 +216,41 @@ def rows(array: np.ndarray, first: int) -> tuple:
     """Entries first ... first + 7 of the rows of a C-contiguous (3, N) array."""
     size = array.shape[1]
     return load(array, first, 8), load(array, size + first, 8), load(array, 2 * size + first, 8)
+
+
+@device
+def put_rows(array: np.ndarray, first: int, vectors: tuple) -> None:
+    """Write three vectors of 8 lanes to where `rows` reads them."""
+    size = array.shape[1]
+    store(array, first, vectors[0])
+    store(array, size + first, vectors[1])
+    store(array, 2 * size + first, vectors[2])
+
+
+@device
+def in_lanes(mask: int, v: Vec3, others: tuple) -> tuple:
+    """A vector of three numbers in the lanes of a mask, and what others are in the others."""
+    return (
+        choose(mask, splat(v.x, 8), others[0]),
+        choose(mask, splat(v.y, 8), others[1]),
+        choose(mask, splat(v.z, 8), others[2]),
+    )
+
+
+@intrinsic(prefer_literal=True)
+def copy(typingctx: Any, to: Any, array: Any) -> Any:
+    """Write all entries of a C-contiguous array to another of the same shape, which does not overlap it."""
+    if not (isinstance(array, types.Array) and array.layout == "C" and to.layout == "C" and to.dtype == array.dtype):
+        return None
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        into, given = (
+            context.make_array(kind)(context, builder, arg) for kind, arg in zip(sig.args, args, strict=True)
+        )
+        cgutils.raw_memcpy(builder, into.data, given.data, given.nitems, given.itemsize)
+        return context.get_dummy_value()
+
+    return types.void(to, array), codegen
 
 
 @intrinsic

@@ -36,8 +36,9 @@ from termwise.renderer.surface import (
     arriving_hidden,
     occlude_wave,
     put_occlusion_ray,
+    put_surfaces,
     shadowed,
-    surface_of,
+    surface_at,
 )
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
@@ -246,8 +247,9 @@ def _occlusion(
         hits = next_hits(scene, key, work, hits, scratch)
         if hits.count == 0:
             break
+        put_surfaces(scene, scratch.primary, hits.count, scratch)
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.primary, i)
+            surface = surface_at(scene, scratch.primary, i, scratch)
             if surface.face >= 0:
                 radiance, asks = ambient_light(scene, rule, surface, shadowed(scene, surface, scratch))
                 x, y = scratch.x[i], scratch.y[i]

@@ -13,9 +13,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, SceneArrays
-from termwise.renderer.film import accumulate, next_hits, no_hits
+from termwise.renderer.film import accumulate, accumulate_all, next_hits, no_hits
+from termwise.renderer.geometry import simd
 from termwise.renderer.geometry.intersect import make_ray
-from termwise.renderer.geometry.wave import SIZE
+from termwise.renderer.geometry.simd import copy
+from termwise.renderer.geometry.wave import SIZE, Wave
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.light_sampling import sample_lights
 from termwise.renderer.lights import sample_light
@@ -24,15 +26,18 @@ from termwise.renderer.photon_density import estimate_irradiance
 from termwise.renderer.photon_map import PhotonMap
 from termwise.renderer.photon_search import nearest_irradiance
 from termwise.renderer.rng import fold
-from termwise.renderer.scratch import DENSITY_ESTIMATES, Scratch
+from termwise.renderer.scratch import DENSITY_ESTIMATES, LightSamples, Scratch
 from termwise.renderer.sobol import Sampler, draw_2d, sample_1d, sample_2d
 from termwise.renderer.surface import (
     Surface,
     arriving,
     arriving_hidden,
     occlude_wave,
+    put_leaving,
     put_leaving_ray,
+    put_surfaces,
     shadowed,
+    surface_at,
     surface_of,
     trace,
     trace_wave,
@@ -61,6 +66,8 @@ from termwise.renderer.warp import INV_PI
 from termwise.scenes import limits
 from termwise.scenes.limits import Kernel, Limit
 from termwise.scenes.model import Scene
+
+_VECTORS = simd.available()
 
 LIGHT = 2  # the pair that places a sample on a light
 BOUNCE = 4  # the direction of the next vertex of a path
@@ -219,122 +226,123 @@ def direct_nearest(
 
 
 @device
-def _of_side(translucency: np.ndarray | None, straight: Vec3, i: int, scratch: Scratch) -> Vec3:
-    """What the side that i waits for receives, times its share."""
-    if translucency is None:
-        return straight
-    return scale(straight, scratch.share[i])
-
-
-@device
-def _light(scene: SceneArrays, waiting: int, out: np.ndarray, scratch: Scratch) -> None:
-    """Sample the light of the points that wait, weights in `weight` and E that was scattered in `radiance`, and add it.
-
-    In the order in which they wait, each to its pixel.
-    """
-    samples = scratch.samples
-    if scene.emitters.drawn:
-        draw_2d(scratch.key, scratch.sample, waiting, LIGHT, samples.u, samples.v)
-    _arrive(scene, waiting, True, scratch)
-    share = 1.0 / scene.light_samples
-    for i in range(waiting):
-        straight = _of_side(scene.materials.translucency, column(samples.irradiance, i), i, scratch)
-        radiance = _reflected(scene, vec3(scratch.weight, i), straight, vec3(scratch.radiance, i))
-        accumulate(out, scratch.row[i], scratch.column[i], scale(radiance, share))
-
-
-@device
 def _arrive(scene: SceneArrays, count: int, coherent: bool, scratch: Scratch) -> None:
     """Sample E / pi at the first `count` points of `scratch.samples`; black at those of no face."""
-    samples = scratch.samples
+    samples, wave = scratch.samples, scratch.rays
     sample_lights(scene, samples, count)
     asking = 0
     for i in range(count):
-        face = entry(samples.face, i)
-        if face < 0:
-            put_column(samples.irradiance, i, Vec3(0.0, 0.0, 0.0))
-        elif not (scene.skips.horizon and is_black(column(samples.irradiance, i))):
-            put_leaving_ray(scene, scratch.rays, asking, column(samples.point, i), face)
-            put_column(scratch.rays.directions, asking, column(samples.way, i))
-            scratch.rays.target[asking] = samples.target[i]
-            scratch.lane[asking] = i
-            asking += 1
+        scratch.lane[asking] = i
+        black = scene.skips.horizon and is_black(column(samples.irradiance, i))
+        asking += 1 if samples.face[i] >= 0 and not black else 0
+    if _VECTORS and asking == count:
+        copy(wave.origins, samples.point)
+        copy(wave.directions, samples.way)
+        copy(wave.target, samples.target)
+        for i in range(count):
+            put_leaving(scene, wave, i, entry(samples.face, i))
+    else:
+        for i in range(count):
+            if samples.face[i] < 0:
+                put_column(samples.irradiance, i, Vec3(0.0, 0.0, 0.0))
+        for k in range(asking):
+            _put_occlusion_ray(scene, samples, entry(scratch.lane, k), wave, k)
     if asking > 0:
-        occlude_wave(scene, scratch.rays, asking, 1.0, coherent, scratch)
+        occlude_wave(scene, wave, asking, 1.0, coherent, scratch)
     for k in range(asking):
-        if scratch.rays.found[k]:
+        if wave.found[k]:
             i = scratch.lane[k]
-            hidden = arriving_hidden(scene, column(samples.irradiance, i), scratch.rays, k, 1.0, scratch)
+            hidden = arriving_hidden(scene, column(samples.irradiance, i), wave, k, 1.0, scratch)
             put_column(samples.irradiance, i, hidden)
 
 
 @device
-def _wait(i: int, number: int, surface: Surface, weight: Vec3, bounced: Vec3, waiting: int, scratch: Scratch) -> int:
-    """Let light sample `number` of primary hit i wait, of the side of `surface`; how many wait then."""
-    scratch.column[waiting] = scratch.x[i]
-    scratch.row[waiting] = scratch.y[i]
-    scratch.key[waiting] = scratch.pixel[i]
-    scratch.sample[waiting] = number
-    put(scratch.weight, waiting, weight)
-    put(scratch.radiance, waiting, bounced)
-    put_column(scratch.samples.point, waiting, surface.point)
-    put_column(scratch.samples.normal, waiting, surface.normal)
-    scratch.samples.face[waiting] = surface.face
-    return waiting + 1
+def _put_occlusion_ray(scene: SceneArrays, samples: LightSamples, i: int, wave: Wave, k: int) -> None:
+    """Let ray k of a wave go from point i to its light."""
+    put_column(wave.origins, k, column(samples.point, i))
+    put_column(wave.directions, k, column(samples.way, i))
+    put_leaving(scene, wave, k, entry(samples.face, i))
+    wave.target[k] = samples.target[i]
 
 
 @device
-def _wait_on_both(
-    translucency: np.ndarray | None,
-    i: int,
-    number: int,
-    surface: Surface,
-    weight: Vec3,
-    bounced: Vec3,
-    waiting: int,
-    scratch: Scratch,
-) -> int:
-    if translucency is None:
-        return _wait(i, number, surface, weight, bounced, waiting, scratch)
-    share = translucency[surface.object]
-    scratch.share[waiting] = 1.0 - share
-    waiting = _wait(i, number, surface, weight, bounced, waiting, scratch)
-    if share == 0.0:
-        return waiting
-    scratch.share[waiting] = share
-    return _wait(i, number, turned(surface), weight, Vec3(0.0, 0.0, 0.0), waiting, scratch)
+def _arrive_on_both(
+    scene: SceneArrays, translucency: np.ndarray | None, count: int, coherent: bool, scratch: Scratch
+) -> None:
+    """As `_arrive`, of both sides where surfaces are translucent, one sample for each side."""
+    samples = scratch.samples
+    _arrive(scene, count, coherent, scratch)
+    if translucency is not None:
+        for k in range(count):
+            put(scratch.front, k, column(samples.irradiance, k))
+            face = entry(samples.face, k)
+            scratch.share[k] = translucency[entry(scene.geometry.object, face)] if face >= 0 else 0.0
+            scratch.number[k] = face
+            put_column(samples.normal, k, negate(column(samples.normal, k)))
+            if scratch.share[k] == 0.0:
+                samples.face[k] = -1
+        _arrive(scene, count, coherent, scratch)
+        for k in range(count):
+            front = vec3(scratch.front, k)
+            if scratch.share[k] > 0.0:
+                front = _of_both(front, column(samples.irradiance, k), scratch.share[k])
+            put_column(samples.irradiance, k, front)
+            put_column(samples.normal, k, negate(column(samples.normal, k)))
+            samples.face[k] = scratch.number[k]
 
 
 @device
-def _most_waiting(scene: SceneArrays, translucency: np.ndarray | None) -> int:
-    """The most that wait of one primary hit."""
-    return scene.light_samples if translucency is None else 2 * scene.light_samples
+def _light(scene: SceneArrays, count: int, scratch: Scratch) -> None:
+    """Sample the light of the first `count` primary hits, their points in `samples`, and add it to `radiance`.
+
+    What is there already is E that was scattered.
+    """
+    samples = scratch.samples
+    share = 1.0 / scene.light_samples
+    for i in range(count):
+        put(scratch.radiance, i, scale(vec3(scratch.radiance, i), INV_PI))
+    for k in range(scene.light_samples):
+        if scene.emitters.drawn:
+            for i in range(count):
+                scratch.sample[i] = scene.light_samples * scratch.index[i] + k
+            draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v)
+        _arrive_on_both(scene, scene.materials.translucency, count, True, scratch)
+        for i in range(count):
+            straight = scale(column(samples.irradiance, i), share)
+            put(scratch.radiance, i, add(vec3(scratch.radiance, i), straight))
 
 
 @kernel
 def _next_event(
     scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
 ) -> None:
-    translucency = scene.materials.translucency
-    most = _most_waiting(scene, translucency)
-    waiting = 0
+    samples = scratch.samples
     hits = no_hits()
     while True:
         hits = next_hits(scene, key, work, hits, scratch)
         if hits.count == 0:
             break
+        put_surfaces(scene, scratch.primary, hits.count, scratch)
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.primary, i)
-            if surface.face >= 0:
+            surface = surface_at(scene, scratch.primary, i, scratch)
+            weight, face = Vec3(0.0, 0.0, 0.0), -1
+            if surface.face >= 0 and not shadowed(scene, surface, scratch):
                 weight = diffuse_weight(scene, surface)
-                if not (scene.skips.diffuse and is_black(weight)) and not shadowed(scene, surface, scratch):
-                    bounced = density_irradiance(scene, photons, surface, scratch)
-                    for k in range(scene.light_samples):
-                        number = scene.light_samples * scratch.index[i] + k
-                        waiting = _wait_on_both(translucency, i, number, surface, weight, bounced, waiting, scratch)
-            if waiting + most > SIZE or (hits.ends_tile and i + 1 == hits.count):
-                _light(scene, waiting, out, scratch)
-                waiting = 0
+                if not (scene.skips.diffuse and is_black(weight)):
+                    face = surface.face
+            samples.face[i] = face
+            put(scratch.weight, i, weight)
+            put(scratch.radiance, i, Vec3(0.0, 0.0, 0.0))
+        if len(photons.face) > 0:
+            for i in range(hits.count):
+                if samples.face[i] >= 0:
+                    surface = surface_at(scene, scratch.primary, i, scratch)
+                    put(scratch.radiance, i, density_irradiance(scene, photons, surface, scratch))
+        _light(scene, hits.count, scratch)
+        for i in range(hits.count):
+            radiance = mul(vec3(scratch.weight, i), vec3(scratch.radiance, i))
+            put(scratch.radiance, i, scale(radiance, scene.irradiance_factor))
+        accumulate_all(out, scratch.y, scratch.x, scratch.radiance, hits.count)
 
 
 class _Paths(NamedTuple):
@@ -378,33 +386,6 @@ def _put_place(paths: _Paths, path: int, surface: Surface) -> None:
 
 
 @device
-def _arrive_behind(
-    scene: SceneArrays,
-    translucency: np.ndarray | None,
-    paths: _Paths,
-    begin: int,
-    count: int,
-    coherent: bool,
-    scratch: Scratch,
-) -> None:
-    """Put E / pi of both sides in the place of that of one, where surfaces are translucent."""
-    if translucency is not None:
-        samples = scratch.samples
-        for k in range(count):
-            put(scratch.radiance, k, column(samples.irradiance, k))
-            scratch.share[k] = translucency[entry(paths.object, paths.alive[begin + k])]
-            put_column(samples.normal, k, negate(column(samples.normal, k)))
-            if scratch.share[k] == 0.0:
-                samples.face[k] = -1
-        _arrive(scene, count, coherent, scratch)
-        for k in range(count):
-            front = vec3(scratch.radiance, k)
-            if scratch.share[k] > 0.0:
-                front = _of_both(front, column(samples.irradiance, k), scratch.share[k])
-            put_column(samples.irradiance, k, front)
-
-
-@device
 def _gather(scene: SceneArrays, paths: _Paths, begin: int, count: int, coherent: bool, scratch: Scratch) -> None:
     """Add what lights send to `count` living paths where they are, one sample each."""
     samples = scratch.samples
@@ -418,8 +399,7 @@ def _gather(scene: SceneArrays, paths: _Paths, begin: int, count: int, coherent:
         put_column(samples.point, k, Vec3(place[0], place[1], place[2]))
         put_column(samples.normal, k, Vec3(place[3], place[4], place[5]))
         samples.face[k] = paths.face[path]
-    _arrive(scene, count, coherent, scratch)
-    _arrive_behind(scene, scene.materials.translucency, paths, begin, count, coherent, scratch)
+    _arrive_on_both(scene, scene.materials.translucency, count, coherent, scratch)
     for k in range(count):
         path = paths.alive[begin + k]
         gained = gain(vec3(paths.throughput, path), column(samples.irradiance, k))
@@ -447,8 +427,9 @@ def _bounce(scene: SceneArrays, paths: _Paths, begin: int, count: int, kept: int
         put_column(directions, k, to_world(frame(normal), local))
     trace_wave(scene, scratch.rays, count, False, scratch)
     draw_2d(scratch.key, scratch.sample, count, ROULETTE, scratch.u, scratch.v)
+    put_surfaces(scene, scratch.rays, count, scratch)
     for k in range(count):
-        surface = surface_of(scene, scratch.rays, k)
+        surface = surface_at(scene, scratch.rays, k, scratch)
         if surface.face < 0:
             continue
         path = entry(paths.alive, begin + k)
@@ -482,8 +463,9 @@ def _follow(scene: SceneArrays, paths: _Paths, count: int, out: np.ndarray, scra
         alive = kept
         coherent = False
     for path in range(count):
-        radiance = scale(mul(vec3(paths.weight, path), vec3(paths.radiance, path)), scene.irradiance_factor)
-        accumulate(out, paths.row[path], paths.column[path], radiance)
+        radiance = mul(vec3(paths.weight, path), vec3(paths.radiance, path))
+        put(paths.radiance, path, scale(radiance, scene.irradiance_factor))
+    accumulate_all(out, paths.row, paths.column, paths.radiance, count)
 
 
 @kernel
@@ -508,8 +490,9 @@ def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
         hits = next_hits(scene, key, work, hits, scratch)
         if hits.count == 0:
             break
+        put_surfaces(scene, scratch.primary, hits.count, scratch)
         for i in range(hits.count):
-            surface = surface_of(scene, scratch.primary, i)
+            surface = surface_at(scene, scratch.primary, i, scratch)
             if surface.face >= 0 and not shadowed(scene, surface, scratch):
                 weight = diffuse_weight(scene, surface)
                 if not (scene.skips.diffuse and is_black(weight)):

@@ -88,7 +88,6 @@ AIMED = Case("monkey", "direct", "photon-map", samples=16)
 SHARP = Case("sharp cornell_box_unshadowed", "direct", "photon-map", samples=16)
 NEAREST = Case("cornell_box_unshadowed", "direct", "nearest", samples=16)
 SHARED = Case("cornell_box_unshadowed", "direct", "next-event", samples=16, after="photon-map")
-SEEN = Case("cornell_box", "direct", "path", samples=4, after="path")
 MESH = Case("monkey", "ambient", "cosine", samples=32)
 SHADOWED = Case("shadowed cornell_box", "direct", "next-event", samples=32)
 BRIGHT = Case("bright cornell_box", "direct", "next-event", samples=32)
@@ -212,8 +211,8 @@ PLANTS = (
         "direct: shadow ray too short",
         DIRECT,
         _DIRECT,
-        "occlude_wave(scene, scratch.rays, asking, 1.0, coherent, scratch)",
-        "occlude_wave(scene, scratch.rays, asking, 0.2, coherent, scratch)",
+        "occlude_wave(scene, wave, asking, 1.0, coherent, scratch)",
+        "occlude_wave(scene, wave, asking, 0.2, coherent, scratch)",
     ),
     Plant(
         "diffuse weight without (1 - g)",
@@ -442,8 +441,8 @@ PLANTS = (
         "one point of the light for all pixels and replicates",
         FEW,
         _DIRECT,
-        "draw_2d(scratch.key, scratch.sample, waiting, LIGHT, samples.u, samples.v)",
-        "scratch.key[:] = np.uint64(7); draw_2d(scratch.key, scratch.sample, waiting, LIGHT, samples.u, samples.v)",
+        "draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v)",
+        "scratch.pixel[:] = np.uint64(7); draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v)",
     ),
     Plant("photons: power less by 1 %", PHOTON_MAP, _TRACING, "power /= emitted", "power *= 0.99 / emitted"),
     Plant(
@@ -514,13 +513,6 @@ PLANTS = (
         _TILES,
         "name = (key, index, task.stored, self._scattering(task))",
         "name = (key, index)",
-    ),
-    Plant(
-        "kept camera rays: those of the replicate before",
-        SEEN,
-        _TILES,
-        "elif self._seen_key != key:\n            self._seen.known[:] = 0",
-        "elif self._seen_key != key:\n            pass",
     ),
     # Counts by contrast.
     Plant("counts: sums divided by the mean count", COUNTED, _TILES, _OUT, "yield count, out / count, seconds"),
@@ -731,15 +723,15 @@ PLANTS = (
         "translucency: all of the light stays, and what crosses besides",
         LEAF_BEHIND,
         _DIRECT,
-        "scratch.share[waiting] = 1.0 - share",
-        "scratch.share[waiting] = 1.0",
+        "front = _of_both(front, column(samples.irradiance, k), scratch.share[k])",
+        "front = mad(column(samples.irradiance, k), scratch.share[k], front)",
     ),
     Plant(
         "translucency: what crosses tinted twice",
         LEAF_SPLIT,
         _DIRECT,
-        "return _wait(i, number, turned(surface), weight, Vec3(0.0, 0.0, 0.0), waiting, scratch)",
-        "return _wait(i, number, turned(surface), mul(weight, weight), Vec3(0.0, 0.0, 0.0), waiting, scratch)",
+        "front = _of_both(front, column(samples.irradiance, k), scratch.share[k])",
+        "front = _of_both(front, mul(vec3(scratch.weight, k), column(samples.irradiance, k)), scratch.share[k])",
     ),
     Plant(
         "translucency: photons of the back dropped",

@@ -15,7 +15,7 @@ from scipy import stats
 from termwise.renderer import Engine, find, render_terms
 from termwise.renderer.arrays import from_scene
 from termwise.renderer.camera import direction_through
-from termwise.renderer.counts import LEAST, Contrast, contrast, corner_camera, corners_of, counts
+from termwise.renderer.counts import LEAST, UNWANTED, Contrast, contrast, corner_camera, corners_of, counts
 from termwise.renderer.plan import REDUCTIONS, plan
 from termwise.renderer.replay import replay
 from termwise.scenes.analytic import plate
@@ -33,27 +33,31 @@ def first_hits(name: str, width: int, height: int) -> Scene:
 def of_deviations(deviations: ArrayLike) -> Contrast:
     """Pixels in a row; 256 is the level of the mean deviation, sixteen a factor of two."""
     each = np.asarray(deviations, np.float64)
-    level = np.log2(each / each.mean())
-    return Contrast(np.ones((1, len(level)), bool), np.rint(256 + 16 * level).astype(int))
+    return of_levels([np.rint(256 + 16 * np.log2(each / each.mean())).astype(int)])
+
+
+def of_levels(level: ArrayLike) -> Contrast:
+    """Of an image of levels (H, W); 513: of pixels that it is not about."""
+    return Contrast(np.array(level), np.bincount(np.ravel(level), minlength=514))
 
 
 def test_samples_go_as_the_deviation():
     """Deviations 4, 2, 1, 1 have the mean 2: 2 N, N, N / 2, N / 2 spend four pixels' samples exactly."""
-    np.testing.assert_array_equal(counts(of_deviations([4.0, 2.0, 1.0, 1.0]), 16), [32, 16, 8, 8])
+    np.testing.assert_array_equal(counts(of_deviations([4.0, 2.0, 1.0, 1.0]), 16), [[32, 16, 8, 8]])
 
 
 def test_a_pixel_in_many():
-    """One of 64 varies: it gets 16 N, the others N / 4, but four samples at least."""
-    one = Contrast(np.ones((8, 8), bool), np.array([512, *[0] * 63]))
-    np.testing.assert_array_equal(counts(one, 64), [1024, *[16] * 63])
-    np.testing.assert_array_equal(counts(one, 8)[1:], LEAST)
+    """One of 64 varies: it gets 16 N, the others N / 4, but two samples at least; what is known takes N."""
+    one = of_levels([[512, *[0] * 63, UNWANTED, UNWANTED]])
+    np.testing.assert_array_equal(counts(one, 64), [[1024, *[16] * 63, 64, 64]])
+    np.testing.assert_array_equal(counts(one, 4)[0, 1:64], LEAST)
 
 
 def test_no_pixel_starves_no_more_is_spent_than_asked_and_none_gets_fewer_for_more():
     rng = np.random.default_rng(1)
     for _ in range(50):
-        found = Contrast(np.ones((1, 40), bool), rng.integers(0, 513, 40))
-        before = np.full(40, LEAST)
+        found = of_levels(rng.integers(0, 513, (5, 8)))
+        before = np.full((5, 8), LEAST)
         for samples in range(LEAST + 1, 70):
             each = counts(found, samples)
             assert each.mean() <= samples
@@ -77,7 +81,10 @@ def test_contrast_is_the_variance_among_corners_and_around():
     )
     found = contrast(corners, wanted)
     assert found is not None
-    np.testing.assert_array_equal(found.level, of_deviations(deviation + 0.2 * deviation.mean()).level)
+    np.testing.assert_array_equal(found.level[0], UNWANTED)
+    expected = of_deviations(deviation + 0.2 * deviation.mean())
+    np.testing.assert_array_equal(found.level[1:].ravel(), expected.level[0])
+    np.testing.assert_array_equal(found.pixels[:UNWANTED], expected.pixels[:UNWANTED])
     np.testing.assert_array_equal(corners_of(wanted), np.arange(9)[:, None] + np.zeros(8) > 0)
 
 
@@ -118,8 +125,8 @@ def test_same_bits_for_any_threads_windows_and_prefixes(scene, variant, compiled
 
 @pytest.mark.parametrize("variant", [find("ambient"), find("direct", "path"), DIRECT])
 def test_without_counts_and_where_they_do_not_serve_all_pixels_have_the_same(variant, compiled):
-    """Of direct light up to four samples; of the others at any N. Rays are counted."""
-    samples = 4 if variant is DIRECT else 8
+    """Of direct light up to two samples; of the others at any N. Rays are counted."""
+    samples = 2 if variant is DIRECT else 8
     scene = first_hits("cornell_box", 8 if compiled else 4, 6 if compiled else 3)
     with Engine(scene, threads=1) as engine, Engine(scene, threads=1, without=("counts",)) as even:
         one, other = (list(e.prefixes(variant, samples=samples, seed=1, replicate=0)) for e in (engine, even))
@@ -153,7 +160,7 @@ def test_shares_are_those_that_are_taken():
         *_, _ = engine.prefixes(DIRECT, samples=16, seed=1, replicate=0)
         assert engine.counts["rays"] - before == each.sum()
         assert each.min() < 16 < each.max()
-        for variant, samples in ((DIRECT, 4), (find("ambient"), 16), (BACKGROUND, 16)):
+        for variant, samples in ((DIRECT, 2), (find("ambient"), 16), (BACKGROUND, 16)):
             np.testing.assert_array_equal(engine.shares(variant, samples=samples), samples)
     with Engine(attrs.evolve(scene, camera=attrs.evolve(scene.camera, pixel="centre")), threads=2) as engine:
         np.testing.assert_array_equal(engine.shares(DIRECT, samples=16), 16)
@@ -162,7 +169,7 @@ def test_shares_are_those_that_are_taken():
 
 
 def test_terms_together_have_the_bits_of_each_alone(compiled):
-    """What camera rays meet is kept for terms that want other counts."""
+    """One engine serves terms that want other counts."""
     scene = first_hits("two_cubes", *((24, 18) if compiled else (5, 4)))
     variants = {"ambient": None, "direct": "next-event", "background": None}
     together = render_terms(scene, variants, samples=16, seed=4)
@@ -179,8 +186,8 @@ def test_a_pixel_alone_and_replayed_is_the_rendered_one(compiled):
         *_, (_, image, _) = engine.prefixes(DIRECT, samples=16, seed=5, replicate=3)
         (known,) = engine.contrasts.values()
     assert known is not None
-    assert known.wanted.all()
-    each = counts(known, 16).reshape(10, 12)
+    assert (known.level < UNWANTED).all()
+    each = counts(known, 16)
     assert each.min() < each.max()
     for place in (each.argmin(), each.argmax()):
         y, x = divmod(int(place), 12)
@@ -272,4 +279,4 @@ def test_what_the_corners_miss_has_its_mean(compiled):
         *_, _ = engine.prefixes(DIRECT, samples=16, seed=3, replicate=0)
         (found,) = engine.contrasts.values()
     assert found is not None
-    assert counts(found, 16)[found.wanted.ravel().nonzero()[0].tolist().index(y * 20 + x)] == LEAST
+    assert counts(found, 16)[y, x] == 4

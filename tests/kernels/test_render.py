@@ -5,7 +5,6 @@ tested on the product's own entry point. Closed forms are those of scenes/analyt
 """
 
 import math
-from typing import Any
 
 import attrs
 import numpy as np
@@ -15,7 +14,6 @@ from scipy import special
 from termwise import renderer
 from termwise.renderer import VARIANTS, Engine, engine, photon_map, render
 from termwise.renderer.plan import plan, skipped
-from termwise.renderer.scratch import SEEN_BYTES
 from termwise.scenes.analytic import closed_box, disc_over_plane, furnace, glossy_sphere, rectangle_light, unit_sphere
 from termwise.scenes.limits import Kernel
 from termwise.scenes.load import library, load
@@ -414,9 +412,9 @@ def test_images_do_not_depend_on_the_image_s_other_tiles(busy):
         *_, (_, whole, _) = engine.prefixes(found, samples=2, seed=1, replicate=0)
         engine.tiles["ambient"] = engine.tiles["ambient"][:1]
         *_, (_, part, _) = engine.prefixes(found, samples=2, seed=1, replicate=0)
-    (tile,) = engine.tiles["ambient"]
-    np.testing.assert_array_equal(part[: tile.y1, : tile.x1], whole[: tile.y1, : tile.x1])
-    assert not part[tile.y1 :].any()
+    ((_, _, x1, y1),) = engine.tiles["ambient"]
+    np.testing.assert_array_equal(part[:y1, :x1], whole[:y1, :x1])
+    assert not part[y1:].any()
 
 
 @pytest.mark.parametrize("resolution", [(1, 1), (8, 8), (32, 32), (70, 40), (640, 360)])
@@ -424,10 +422,10 @@ def test_tiles_cover_the_image_once_and_give_every_thread_some(resolution):
     width, height = resolution
     found = engine._tiles(np.ones((height, width), np.bool_), least=8)
     covered = np.zeros((height, width), int)
-    for tile in found:
-        assert tile.x0 < tile.x1 <= width
-        assert tile.y0 < tile.y1 <= height
-        covered[tile.y0 : tile.y1, tile.x0 : tile.x1] += 1
+    for x0, y0, x1, y1 in found:
+        assert x0 < x1 <= width
+        assert y0 < y1 <= height
+        covered[y0:y1, x0:x1] += 1
     assert (covered == 1).all()
     assert len(found) >= 8 or max(resolution) <= 8
 
@@ -554,76 +552,6 @@ def test_photon_maps_are_shared(scattering, variant, maps_kept, traced, compiled
         before = engine.counts["photons"]
         list(engine.prefixes(wanted[1], samples=1, seed=2, replicate=1))
         assert engine.counts["photons"] == before + a_map
-
-
-@pytest.mark.parametrize(
-    ("scene", "changes"),
-    [
-        ("cornell_box", {}),
-        ("cornell_box", {"pixel": "centre"}),
-        ("two_cubes", {}),  # photon maps: a kernel call for each sample
-        ("cornell_box", {"intersection": "paper"}),
-    ],
-)
-@pytest.mark.parametrize("hits", [0, 3, 64])
-def test_camera_rays_are_shared(scene, changes, hits, compiled, monkeypatch):
-    """All terms look along the same rays: those that there is room for are traced once, and no bit changes."""
-    scene = attrs.evolve(shrunk(load(scene), compiled, 8), draw_lights=True)
-    if "pixel" in changes:
-        scene = attrs.evolve(scene, camera=attrs.evolve(scene.camera, **changes))
-    else:
-        scene = attrs.evolve(scene, **changes)
-    samples, (width, height) = 16 if compiled else 4, scene.resolution
-    kept = hits * width * height * SEEN_BYTES
-    monkeypatch.setattr(photon_map, "bytes_of", lambda photons: kept + 1)  # camera rays alone
-
-    def drawn(engine: Engine, replicate: int) -> list[bytes]:
-        found = []
-        for term in TERMS:
-            steps = engine.prefixes(renderer.find(term), samples=samples, seed=2, replicate=replicate)
-            found += [image.tobytes() for _, image, _ in steps]
-        return found
-
-    with Engine(scene, threads=2) as engine, Engine(scene, threads=2, kept_bytes=kept) as sharing:
-        for replicate in (0, 1, 0) if compiled else (0,):
-            before, shared_before = engine.counts["rays"], sharing.counts["rays"]
-            assert drawn(engine, replicate) == drawn(sharing, replicate)
-            spared = (engine.counts["rays"] - before) - (sharing.counts["rays"] - shared_before)
-            assert (spared > 0) == (hits > 0)
-
-
-def test_the_plan_counts_the_camera_rays_that_are_shared(compiled, monkeypatch):
-    """In the box, of which every pixel sees something; with room for all, and for six primary hits of a pixel.
-
-    Terms whose counts go by contrast share none.
-    """
-    scene = attrs.evolve(shrunk(load("cornell_box"), compiled, 8), draw_lights=True)
-    width, height = scene.resolution
-    variants: dict[Term, renderer.Variant] = {term: renderer.find(term) for term in TERMS}
-    for room, without in ((64, ("counts",)), (6, ("counts",)), (64, ())):
-        kept = room * width * height * SEEN_BYTES
-        monkeypatch.setattr("termwise.renderer.plan.KEPT_BYTES", kept)
-        planned = {
-            step.term: step.saved["rays"]
-            for step in plan(scene, variants, samples=16, together=True, without=without)
-            if step.kind == "reuse"
-        }
-        assert list(planned) == (["direct", "specular", "background"] if without else ["specular"])
-        settings: dict[str, Any] = {"threads": 2, "without": without}
-        with Engine(scene, **settings) as engine, Engine(scene, **settings, kept_bytes=kept) as sharing:
-            for term in TERMS:
-                spent = []
-                for each in (engine, sharing):
-                    before = each.counts["rays"]
-                    list(each.prefixes(variants[term], samples=16, seed=2, replicate=0))
-                    spent.append(each.counts["rays"] - before)
-                spared = spent[0] - spent[1]
-                if room == 64 and term == "background":
-                    assert spared == planned.get(term, 0)
-                elif term in planned:
-                    # Eight at once, or none; the tiles of specular cover more than its window.
-                    bound = scene.resolution[0] * scene.resolution[1] * 16
-                    assert 0.5 * planned[term] < spared <= (bound if term == "specular" else planned[term])
 
 
 # Degenerate scenes and bad arguments.

@@ -191,7 +191,7 @@ def test_options_of_numba_are_named_in_one_place(path):
     for node in ast.walk(tree):
         if isinstance(node, ast.keyword):
             assert node.arg != "fastmath"
-        extends = ("jit.py", "simd.py", "by_reference.py", "compiling.py")
+        extends = ("jit.py", "simd.py", "by_reference.py", "compiling.py", "dealing.py")
         if isinstance(node, ast.Import | ast.ImportFrom) and path.name not in extends:
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [item.name for item in node.names]
             assert not any(name.split(".")[0] == "numba" for name in names)
