@@ -1,18 +1,24 @@
 """What kernels are given by reference: a NamedTuple of arrays as one pointer to its fields, `x.field` a load.
 
 Numba takes a tuple apart at each call, and a scene with its scratch is 900 words: to hand them from function to
-function was a quarter of the time that kernels took to compile. Fields stay as they are while a kernel runs, what their
+function was a quarter of the time that kernels took to compile, to take them out of Python's objects most of what a
+call cost. `pack` lays them out once, as compiled code has them. Fields stay as they are while a kernel runs, what their
 arrays hold does not; each load says so, and leaves a loop whatever that writes.
 """
 
+import functools
 import hashlib
 import math
+import weakref
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
+import numba
+import numpy as np
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import cgutils, config, types
 from numba.core.imputils import impl_ret_borrowed, lower_getattr_generic
+from numba.core.registry import cpu_target
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
@@ -121,47 +127,108 @@ def _load(builder: Any, place: Any, known: dict[tuple[int, ...], int], at: tuple
     return value
 
 
-def _refuse_other_shapes(c: Any, kind: Reference, index: int, place: Any, failed: Any) -> None:
-    """Raise where an array at a place is not as its class says."""
-    name = kind.cls._fields[index]
-    inner = _INNER[kind.cls].get(name, ()) if isinstance(kind.types[index], types.Array) else ()
-    for axis, extent in enumerate(inner):
-        # Not its strides: those of an array of nothing may be 0.
-        shape = c.context.data_model_manager[kind.types[index]].get_field_position("shape")
-        found = c.builder.load(cgutils.gep_inbounds(c.builder, place, 0, shape, axis + 1))
-        with cgutils.if_unlikely(c.builder, c.builder.icmp_signed("!=", found, ir.Constant(found.type, extent))):
+def _memory_of(kind: types.Type) -> np.dtype:
+    """How the value of a type lies in memory."""
+    if isinstance(kind, Reference):
+        return _struct(_memory_of(each) for each in kind.types)
+    if isinstance(kind, types.Array):
+        extents = np.dtype((np.int64, (kind.ndim,)))
+        # Counter of references, Python's object, entries, bytes of one, the first, shape, strides.
+        return _struct([*[np.dtype(np.int64)] * 5, extents, extents])
+    if isinstance(kind, types.UniTuple | types.NamedUniTuple):
+        return np.dtype((_memory_within(kind.dtype), (kind.count,)))
+    if isinstance(kind, types.BaseTuple):
+        return _struct(_memory_within(each) for each in kind)
+    if isinstance(kind, types.NoneType):
+        return np.dtype(np.int64)
+    return np.dtype(str(kind))
+
+
+def _memory_within(kind: types.Type) -> np.dtype:
+    """As `_memory_of`, within a tuple that is none of these: it has the address of one that is."""
+    return np.dtype(np.int64) if isinstance(kind, Reference) else _memory_of(kind)
+
+
+def _struct(fields: Any) -> np.dtype:
+    return np.dtype([(f"f{index}", each) for index, each in enumerate(fields)], align=True)
+
+
+@functools.cache
+def _memory(kind: Reference) -> np.dtype:
+    """As `_memory_of`, where LLVM means the same."""
+    context, found = cpu_target.target_context, _memory_of(kind)
+    context.refresh()
+    size = context.get_abi_sizeof(context.get_value_type(kind).pointee)
+    assert found.itemsize == size, f"{kind}: {found.itemsize} bytes, {size} of compiled code"
+    return found
+
+
+def _words(kind: types.Type, value: Any, held: list[Any]) -> Any:
+    """What is written to the memory of a value; `held` gets what it has the address of."""
+    if isinstance(kind, Reference):
+        _refuse_other_shapes(kind, value)
+        return tuple(_words(each, item, held) for each, item in zip(kind.types, value, strict=True))
+    if isinstance(kind, types.Array):
+        # Of no counter, and no object: whoever holds what is packed holds the array.
+        return 0, 0, value.size, value.itemsize, value.ctypes.data, value.shape, value.strides
+    if isinstance(kind, types.BaseTuple):
+        return tuple(_words_within(each, item, held) for each, item in zip(kind, value, strict=True))
+    return 0 if value is None else value
+
+
+def _words_within(kind: types.Type, value: Any, held: list[Any]) -> Any:
+    if isinstance(kind, Reference):
+        held.append(pack(value))
+        return held[-1].address
+    return _words(kind, value, held)
+
+
+def _refuse_other_shapes(kind: Reference, value: Any) -> None:
+    """Raise where an array is not as its class says."""
+    for name, inner in _INNER[kind.cls].items():
+        array = getattr(value, name)
+        if array is not None and array.shape[1:] != inner:
             allowed = ", ".join(map(str, ("N", *inner)))
-            c.pyapi.err_set_string("PyExc_ValueError", f"{kind.cls.__name__}.{name}: the shape allowed is ({allowed})")
-            c.builder.store(cgutils.true_bit, failed)
+            raise ValueError(f"{kind.cls.__name__}.{name}: the shape allowed is ({allowed})")
+
+
+class Packed:
+    """A NamedTuple as compiled code reads it, while this is held."""
+
+    __slots__ = ("__weakref__", "_held", "_numba_type_", "address", "value")
+
+    def __init__(self, value: Any) -> None:
+        kind = numba.typeof(value)
+        self.value, self._held = value, []
+        memory = np.zeros(1, _memory(kind))
+        memory[0] = _words(kind, value, self._held)
+        self._held.append(memory)
+        self._numba_type_, self.address = kind, memory.ctypes.data
+
+
+_PACKED: weakref.WeakValueDictionary[int, Packed] = weakref.WeakValueDictionary()
+
+
+def pack(value: Any) -> Any:
+    """What to call a kernel with in place of a value: of those taken by reference what is `Packed`, others as they are.
+
+    A call packs what is not; as long as somebody holds what this gives, it finds it again.
+
+    Raises
+    ------
+    ValueError : an array of another shape than its class says.
+    """
+    if type(value) not in _INNER or cast(Any, config).DISABLE_JIT:
+        return value
+    found = _PACKED.get(id(value))
+    if found is None or found.value is not value:
+        found = _PACKED[id(value)] = Packed(value)
+    return found
 
 
 @unbox(Reference)
 def _unbox(kind: Reference, value: Any, c: Any) -> NativeValue:
-    place = cgutils.alloca_once(c.builder, c.context.get_value_type(kind).pointee)
-    failed = cgutils.alloca_once_value(c.builder, cgutils.false_bit)
-    held: list[tuple[types.Type, NativeValue]] = []
-
-    def fill(kind: Reference, value: Any, place: Any) -> None:
-        for index, each in enumerate(kind.types):
-            item = c.pyapi.tuple_getitem(value, index)
-            where = cgutils.gep_inbounds(c.builder, place, 0, index)
-            if isinstance(each, Reference):
-                fill(each, item, where)
-                continue
-            native = c.unbox(each, item)
-            c.builder.store(native.value, where)
-            with cgutils.if_unlikely(c.builder, native.is_error):
-                c.builder.store(cgutils.true_bit, failed)
-            _refuse_other_shapes(c, kind, index, where, failed)
-            held.append((each, native))
-
-    def release() -> None:
-        for each, native in held:
-            if native.cleanup is not None:
-                native.cleanup()
-            if c.context.enable_nrt:
-                c.context.nrt.decref(c.builder, each, native.value)
-
-    fill(kind, value, place)
-    # These writes and the loads that never change are not seen together: Numba's wrapper inlines no call.
-    return NativeValue(place, is_error=c.builder.load(failed), cleanup=release)
+    address = c.pyapi.object_getattr_string(value, "address")
+    place = c.pyapi.long_as_voidptr(address)
+    c.pyapi.decref(address)
+    return NativeValue(c.builder.bitcast(place, c.context.get_value_type(kind)), is_error=c.pyapi.c_api_error())

@@ -14,6 +14,7 @@ import numpy as np
 
 from termwise.renderer import photon_map, photon_tracing
 from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays, from_scene, most_survival
+from termwise.renderer.by_reference import pack
 from termwise.renderer.counts import (
     LEAST,
     Contrast,
@@ -26,7 +27,7 @@ from termwise.renderer.counts import (
     scatter,
     spend,
 )
-from termwise.renderer.film import ALONE, GeometryImages, Tile, trace_centres
+from termwise.renderer.film import ALONE, GeometryImages, Tile, Work, trace_centres
 from termwise.renderer.jit import warm
 from termwise.renderer.plan import (
     REDUCTIONS,
@@ -56,6 +57,8 @@ _TILES_A_THREAD, _SMALLEST = 16, 4
 # Samples that share a map of a search for the k nearest at the vertices of a chain: its radius does not shrink.
 _CHAINS_A_MAP = 128
 
+_NO_PHOTONS = photon_map.empty()
+
 # What the corners of pixels are seen with: the same for every seed, beyond the streams of pixels and of photons.
 _CORNERS = stream(root(0, 0), 1 << 41)
 
@@ -83,8 +86,8 @@ def _tiles(wanted: np.ndarray, *, least: int) -> np.ndarray:
     return np.column_stack([x + low[0], y + low[1], *(begin + end for begin, end in zip((x, y), far, strict=True))])
 
 
-def _work(tiles: np.ndarray, split: int) -> np.ndarray:
-    """Samples of the tiles' pixels, (N, 5) int64, see `film.PrimaryHits`."""
+def _items(tiles: np.ndarray, split: int) -> np.ndarray:
+    """Samples of the tiles' pixels, (N, 5) int64, see `film.Work`."""
     return np.column_stack([tiles, np.full(len(tiles), split)])
 
 
@@ -134,6 +137,9 @@ class Engine:
         self.scene = scene
         self.without = frozenset(without)
         self.arrays: SceneArrays = from_scene(scene, without=self.without)
+        self._to_corners = self.arrays._replace(camera=corner_camera(self.arrays.camera))
+        # Held, so that calls find what is packed.
+        self._packed = [pack(self.arrays), pack(self._to_corners), pack(_NO_PHOTONS)]
         self.pool = ThreadPoolExecutor(threads)
         self.compile_seconds = 0.0
         # One of each thread, made once: 14 µs each, a tenth of a tile of 32 x 32 pixels at one sample.
@@ -144,7 +150,7 @@ class Engine:
         self._kept_bytes = kept_bytes
         self._maps: dict[tuple, photon_map.PhotonMap] = {}
         self.contrasts: dict[_Task, Contrast | None] = {}
-        # Of terms that count by contrast: the pixels it is about, and the work at their corners.
+        # Of terms that count by contrast: the pixels it is about, and the items of their corners.
         self._corners: dict[Term, tuple[np.ndarray, np.ndarray]] = {}
         width, height = scene.resolution
         everywhere = np.full((height, width), pixel is None)
@@ -186,6 +192,7 @@ class Engine:
         if not hasattr(self._local, "scratch"):
             self._local.scratch = new_scratch()
             self._scratches.append(self._local.scratch)
+            self._packed.append(pack(self._local.scratch))
         return self._local.scratch
 
     def _unless(self, cancel: threading.Event | None) -> Callable[[], Scratch]:
@@ -270,7 +277,7 @@ class Engine:
         key = root(request.seed, request.replicate)
         stored = needs_photons(self.scene, variant, chain, without=self.without)
         task = _Task(variant, driver, chain, stored)
-        photons = photon_map.empty()
+        photons = _NO_PHOTONS
         # Each pass has its own radius, hence its own map.
         per_map = _CHAINS_A_MAP if chain == "paper" and TABLE[variant.term].meets else 1
         split = 1 if "splitting" in self.without else variant.split(self.scene)
@@ -287,9 +294,9 @@ class Engine:
                     last = min(count, (number + 1) * per_map)
                     photons = self._shared(task, key, number, self._unless(cancel))
                 inputs = variant.inputs(self.scene, chain, photons)
-                work = _work(self.tiles[variant.term], split if last > ALONE else 1)
+                items = _items(self.tiles[variant.term], split if last > ALONE else 1)
                 end = self._counts(task, last, cancel)
-                self._add(driver, inputs, key, work, begin, end, out, cancel)
+                self._add(driver, inputs, key, items, begin, end, out, cancel)
                 self._add_beyond(variant.term, out, last - first)
                 taken[:, :, 0] = end
                 begin, done = end, last
@@ -314,21 +321,20 @@ class Engine:
     def _contrast(self, task: _Task, cancel: threading.Event | None) -> Contrast | None:
         """How much pixels vary, by a sample at each of their corners: the same for all replicates."""
         width, height = self.scene.resolution
-        wanted, work = self._at_corners(task.variant.term)
-        arrays = self.arrays._replace(camera=corner_camera(self.arrays.camera))
-        inputs = task.variant.inputs(self.scene, task.chain, photon_map.empty())
+        wanted, items = self._at_corners(task.variant.term)
+        inputs = task.variant.inputs(self.scene, task.chain, _NO_PHOTONS)
         image = np.zeros((height + 1, width + 1, 3))
         first, last = (np.full(image.shape[:2], each, np.int32) for each in (0, 1))
-        self._run(arrays, task.driver, inputs, _CORNERS, work, first, last, image, cancel)
+        self._run(self._to_corners, task.driver, inputs, _CORNERS, items, first, last, image, cancel)
         return contrast(image, wanted)
 
     def _at_corners(self, term: Term) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels that may see something of a term, (H, W) bool, and the work at their corners."""
+        """Pixels that may see something of a term, (H, W) bool, and the items of their corners."""
         if term not in self._corners:
             wanted = may_see(self.scene, term)
             if needs_every_pixel(self.scene, term):
                 wanted[:] = True
-            self._corners[term] = wanted, _work(self._tiles(corners_of(wanted)), 1)
+            self._corners[term] = wanted, _items(self._tiles(corners_of(wanted)), 1)
         return self._corners[term]
 
     def _add_beyond(self, term: Term, out: np.ndarray, samples: int) -> None:
@@ -365,14 +371,14 @@ class Engine:
         driver: Callable[..., None],
         inputs: tuple,
         key: np.uint64,
-        work: np.ndarray,
+        items: np.ndarray,
         begin: np.ndarray,
         end: np.ndarray,
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
         """Add the samples [begin, end) of each pixel to the image."""
-        self._run(self.arrays, driver, inputs, key, work, begin, end, out, cancel)
+        self._run(self.arrays, driver, inputs, key, items, begin, end, out, cancel)
 
     def _run(
         self,
@@ -380,29 +386,29 @@ class Engine:
         driver: Callable[..., None],
         inputs: tuple,
         key: np.uint64,
-        work: np.ndarray,
+        items: np.ndarray,
         begin: np.ndarray,
         end: np.ndarray,
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
         scratch = self._unless(cancel)
-        threads = max(1, min(self._threads, len(work)))
+        inputs = tuple(map(pack, inputs))
+        threads = max(1, min(self._threads, len(items)))
         calls = max(1, min(_MOST_CALLS, int((end - begin).sum()) // (threads * _SAMPLES_A_CALL)))
-        dealt = np.zeros(1, np.int64)
-        most = len(work) if calls == 1 else -(-len(work) // (threads * calls))
+        most = len(items) if calls == 1 else -(-len(items) // (threads * calls))
+        work = Work(items, begin, end, np.zeros(1, np.int64), most)
 
         def draw() -> None:
-            while dealt[0] < len(work):
-                memory = scratch()._replace(begin=begin, end=end, dealt=dealt, most=most)
-                driver(arrays, *inputs, key, work, out, memory)
+            while work.dealt[0] < len(items):
+                driver(arrays, *inputs, key, work, out, scratch())
 
         # The calling thread is one of them: another takes 0.1 ms to wake.
         others = [self.pool.submit(draw) for _ in range(threads - 1)]
         try:
             draw()
         finally:
-            dealt[0] = len(work)
+            work.dealt[0] = len(items)
             wait(others)
         for other in others:
             other.result()
@@ -414,9 +420,11 @@ class Engine:
         start = time.perf_counter()
         self.kernels.update(self.kernels_of(task.variant, chain=task.chain))
         # The one photon does not count.
-        photons = self._photons(task, key, 0, 1, new_scratch) if task.stored else photon_map.empty()
+        photons = self._photons(task, key, 0, 1, new_scratch) if task.stored else _NO_PHOTONS
         inputs = task.variant.inputs(self.scene, task.chain, photons)
-        warm(task.driver, self.arrays, *inputs, key, np.zeros((0, 5), np.int64), out, self._scratch())
+        one = np.zeros((1, 1), np.int32)
+        nothing = Work(np.zeros((0, 5), np.int64), one, one, np.zeros(1, np.int64), 0)
+        warm(task.driver, self.arrays, *inputs, key, nothing, out, self._scratch())
         if by_contrast(self.scene, task.variant, task.chain):
             warm(scatter, *prepare(0, 0))
             level, pixels = np.empty((0, 0), np.int64), np.empty(0, np.int64)

@@ -56,12 +56,26 @@ def samples_of(hit: int, split: int, first: int, last: int) -> tuple[int, int]:
     return max(first, _first_of(hit, split)), min(last, _first_of(hit + 1, split))
 
 
+class Work(NamedTuple):
+    """What is rendered: threads are dealt its items one by one, and one call of a kernel may take many.
+
+    Attributes
+    ----------
+    items : (N, 5) int64, rows `(x0, y0, x1, y1, split)`: a tile of pixels, `split` of whose samples share a camera ray.
+    begin, end : (H, W) int32 each, the samples [begin, end) of each pixel that are taken.
+    dealt : (1,) int64, how many items are taken, see `dealing`; all threads share it.
+    most : how many of them one call may take.
+    """
+
+    items: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    dealt: np.ndarray
+    most: int
+
+
 class PrimaryHits(NamedTuple):
     """The wave of primary hits at hand, and where it stands in the work.
-
-    Work is (N, 5) int64, a row `(x0, y0, x1, y1, split)`: the samples of a tile's pixels that `scratch.begin` and
-    `scratch.end` say, `split` of which share a camera ray. Threads are dealt its rows one by one, and one call of a
-    kernel may take many.
 
     Attributes
     ----------
@@ -89,9 +103,9 @@ def no_hits() -> PrimaryHits:
 
 
 @device
-def _next_pixel(tile: np.ndarray, x: int, y: int, scratch: Scratch) -> tuple[int, int]:
+def _next_pixel(work: Work, tile: np.ndarray, x: int, y: int) -> tuple[int, int]:
     """The first pixel of a tile, from (x, y) on, that takes samples; in the row below the tile where none does."""
-    while y < tile[3] and scratch.begin[y, x] >= scratch.end[y, x]:
+    while y < tile[3] and work.begin[y, x] >= work.end[y, x]:
         x += 1
         if x == tile[2]:
             x = tile[0]
@@ -100,7 +114,7 @@ def _next_pixel(tile: np.ndarray, x: int, y: int, scratch: Scratch) -> tuple[int
 
 
 @device
-def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: PrimaryHits, scratch: Scratch) -> PrimaryHits:
+def next_hits(scene: SceneArrays, key: np.uint64, work: Work, hits: PrimaryHits, scratch: Scratch) -> PrimaryHits:
     """Fill `scratch.primary` with the next 64 of the work, or what is left of a tile, pixel by pixel and row by row.
 
     A primary hit is what one camera ray meets, for `split` samples. Rays of one pixel, or of a few side by side, go
@@ -113,17 +127,17 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Primar
     split, taken, item, x, y, index = hits.split, hits.taken, hits.item, hits.next_x, hits.next_y, hits.next_index
     begins = hits.ends_tile
     while begins:
-        item = deal(scratch.dealt) if taken < scratch.most else len(work)
-        if item >= len(work):
+        item = deal(work.dealt) if taken < work.most else len(work.items)
+        if item >= len(work.items):
             return PrimaryHits(0, True, split, taken, item, x, y, index)
         taken += 1
-        x, y = _next_pixel(work[item], work[item, 0], work[item, 1], scratch)
-        begins = y == work[item, 3]
+        x, y = _next_pixel(work, work.items[item], work.items[item, 0], work.items[item, 1])
+        begins = y == work.items[item, 3]
     if hits.ends_tile:
-        split = work[item, 4]
-        index = primary_hits_of(scratch.begin[y, x], scratch.end[y, x], split)[0]
-    tile = work[item]
-    end = primary_hits_of(scratch.begin[y, x], scratch.end[y, x], split)[1]
+        split = work.items[item, 4]
+        index = primary_hits_of(work.begin[y, x], work.end[y, x], split)[0]
+    tile = work.items[item]
+    end = primary_hits_of(work.begin[y, x], work.end[y, x], split)[1]
     count = 0
     # The key of all randomness of a pixel.
     pixel = fold(key, y * scene.camera.width + x)
@@ -139,22 +153,22 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: np.ndarray, hits: Primar
             if x == tile[2]:
                 x = tile[0]
                 y += 1
-            x, y = _next_pixel(tile, x, y, scratch)
+            x, y = _next_pixel(work, tile, x, y)
             if y < tile[3]:
-                index, end = primary_hits_of(scratch.begin[y, x], scratch.end[y, x], split)
+                index, end = primary_hits_of(work.begin[y, x], work.end[y, x], split)
                 pixel = fold(key, y * scene.camera.width + x)
-    _look(scene, split, count, scratch)
+    _look(scene, work, split, count, scratch)
     return PrimaryHits(count, y == tile[3], split, taken, item, x, y, index)
 
 
 @device
-def _is_first(i: int, split: int, scratch: Scratch) -> bool:
+def _is_first(work: Work, i: int, split: int, scratch: Scratch) -> bool:
     """Whether primary hit i is the first one of its pixel that is asked for."""
-    return scratch.index[i] == _primary_hit_of(scratch.begin[scratch.y[i], scratch.x[i]], split)
+    return scratch.index[i] == _primary_hit_of(work.begin[scratch.y[i], scratch.x[i]], split)
 
 
 @device
-def _look(scene: SceneArrays, split: int, count: int, scratch: Scratch) -> None:
+def _look(scene: SceneArrays, work: Work, split: int, count: int, scratch: Scratch) -> None:
     """Trace the first `count` primary hits."""
     primary, camera = scratch.primary, scene.camera
     # Loops of their own: what hashes and maps eight points is vectorised.
@@ -172,13 +186,13 @@ def _look(scene: SceneArrays, split: int, count: int, scratch: Scratch) -> None:
         asked = 0
         for i in range(count):
             put_column(primary.directions, asked, column(primary.directions, i))
-            asked += 1 if _is_first(i, split, scratch) else 0
+            asked += 1 if _is_first(work, i, split, scratch) else 0
     if asked > 0:
         trace_wave(scene, primary, asked, True, scratch)
     if shared:
         for i in range(count - 1, -1, -1):
             put_hit(primary, i, hit_of(primary, asked - 1) if asked > 0 else before)
-            asked -= 1 if _is_first(i, split, scratch) else 0
+            asked -= 1 if _is_first(work, i, split, scratch) else 0
         for i in range(count):
             direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])
             put_ray(primary, i, camera.position, direction)

@@ -22,6 +22,7 @@ import numpy as np
 from numba.core import config, types
 from numba.extending import models, register_model
 
+from termwise.renderer.by_reference import pack
 from termwise.renderer.compiling import ForKernels, ForPython
 from termwise.scenes.store import cache_folder
 
@@ -154,7 +155,22 @@ class _Device:
         return _Callee(self._for_kernels)
 
     def __call__(self, *arguments: Any) -> Any:
-        return self._for_python(*arguments)
+        return self._for_python(*map(pack, arguments))
+
+
+class _Kernel:
+    """A compiled driver, which is called with what is packed."""
+
+    def __init__(self, compiled: Any) -> None:
+        functools.update_wrapper(self, compiled.py_func)
+        self.compiled = compiled
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.compiled(*map(pack, arguments))
+
+    def __reduce__(self) -> str:
+        """Pickled by its name."""
+        return self.__qualname__
 
 
 KERNELS: list[Any] = []
@@ -163,16 +179,18 @@ KERNELS: list[Any] = []
 def kernel(function: F) -> F:
     """Compile a driver that Python calls, once per tile."""
     compiled = _compile(function, no_cfunc_wrapper=True)
-    KERNELS.append(compiled)
-    return compiled
+    if cast(Any, config).DISABLE_JIT:
+        return compiled
+    KERNELS.append(_Kernel(compiled))
+    return cast(F, KERNELS[-1])
 
 
 def compiled_kernels() -> list[str]:
     """Names of the kernels compiled or loaded so far: a scene's skips show here."""
-    return [item.__name__ for item in KERNELS if getattr(item, "signatures", None)]
+    return [item.__name__ for item in KERNELS if item.compiled.signatures]
 
 
 def warm(function: Callable[..., Any], *arguments: Any) -> None:
     """Compile `function` for the types of `arguments`, or load it, without running it."""
-    if hasattr(function, "compile"):  # not with NUMBA_DISABLE_JIT=1
-        cast(Any, function).compile(tuple(numba.typeof(argument) for argument in arguments))
+    if isinstance(function, _Kernel):  # not with NUMBA_DISABLE_JIT=1
+        function.compiled.compile(tuple(numba.typeof(argument) for argument in arguments))

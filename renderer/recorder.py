@@ -35,6 +35,7 @@ from termwise.renderer import (
     surface,
 )
 from termwise.renderer.arrays import SceneArrays
+from termwise.renderer.film import Work
 from termwise.renderer.jit import PACKAGE
 from termwise.renderer.microfacet import pdf_lobe
 from termwise.renderer.scratch import new_scratch
@@ -314,9 +315,8 @@ def main() -> None:
         out = np.zeros((scene.camera.height, scene.camera.width, 3))
         begin, end = np.zeros((2, *out.shape[:2]), np.int32)
         begin[y, x], end[y, x] = sample, sample + 1
-        work = np.array([[x, y, x + 1, y + 1, split]])
-        memory = scratch._replace(begin=begin, end=end, dealt=np.zeros(1, np.int64), most=1)
-        estimator.driver(scene, *inputs, key, work, out, memory)
+        work = Work(np.array([[x, y, x + 1, y + 1, split]]), begin, end, np.zeros(1, np.int64), 1)
+        estimator.driver(scene, *inputs, key, work, out, scratch)
         pickle.dump((recorder.events, out[y, x]), answers)
         answers.flush()
 

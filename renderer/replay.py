@@ -116,18 +116,18 @@ class _Recorded(Engine):
         driver: Callable[..., None],
         inputs: tuple,
         key: np.uint64,
-        work: np.ndarray,
+        items: np.ndarray,
         begin: np.ndarray,
         end: np.ndarray,
         out: np.ndarray,
         cancel: threading.Event | None,
     ) -> None:
-        ((x, y, _, _, split),) = work.tolist()
+        ((x, y, _, _, split),) = items.tolist()
         given: tuple | None = inputs
         for index in range(begin[y, x], end[y, x]):
             alone, one = np.zeros_like(out), (np.full_like(begin, index), np.full_like(end, index + 1))
-            super()._add(driver, inputs, key, work, *one, alone, cancel)
-            super()._add(driver, inputs, key, work, *one, out, cancel)
+            super()._add(driver, inputs, key, items, *one, alone, cancel)
+            super()._add(driver, inputs, key, items, *one, out, cancel)
             events, traced = self._trace((given, key, x, y, index, split))
             given = None
             self.samples.append(Sample(index, events, alone[y, x], _ulp(traced, alone[y, x])))

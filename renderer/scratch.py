@@ -18,9 +18,6 @@ COUNTERS = ("rays", "occlusion rays", "photons", "density estimates")
 RAYS, OCCLUSION_RAYS, PHOTONS, DENSITY_ESTIMATES = range(len(COUNTERS))
 
 
-NO_SAMPLES = np.zeros((0, 0), np.int32)
-
-
 @by_reference(point=(SIZE,), normal=(SIZE,), way=(SIZE,), irradiance=(SIZE,))
 class LightSamples(NamedTuple):
     """Points that ask for light, and one sample of it for each.
@@ -77,9 +74,6 @@ class Scratch(NamedTuple):
     u, v : (64,) float64 each, points of the unit square: of the camera rays, then of what leaves their hits.
     samples : points that ask for light.
     lanes : (4, 8) float64 scratch of `photon_density`.
-    begin, end : (H, W) int32 each, the samples [begin, end) of each pixel that are taken; all threads share them.
-    dealt : (1,) int64, how many items of the work are taken (see `dealing`); all threads share it.
-    most : how many of them one call may take.
     """
 
     stack: np.ndarray
@@ -106,10 +100,6 @@ class Scratch(NamedTuple):
     v: np.ndarray
     samples: LightSamples
     lanes: np.ndarray
-    begin: np.ndarray
-    end: np.ndarray
-    dealt: np.ndarray
-    most: int
 
 
 def _zeros(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> np.ndarray:
@@ -143,8 +133,4 @@ def new_scratch() -> Scratch:
         _zeros(SIZE),
         _new_light_samples(),
         _zeros((4, 8)),
-        NO_SAMPLES,
-        NO_SAMPLES,
-        np.zeros(1, np.int64),
-        0,
     )

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import next_hits, no_hits, samples_of
+from termwise.renderer.film import Work, next_hits, no_hits, samples_of
 from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sampled_side, sees_all_ambient, side_of, whole_color
@@ -237,9 +237,7 @@ def _resolve(scene: SceneArrays, waiting: int, asking: int, far: float, out: np.
 
 
 @kernel
-def _occlusion(
-    scene: SceneArrays, rule: int, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
-) -> None:
+def _occlusion(scene: SceneArrays, rule: int, key: np.uint64, work: Work, out: np.ndarray, scratch: Scratch) -> None:
     waiting = 0
     asking = 0
     hits = no_hits()
@@ -253,7 +251,7 @@ def _occlusion(
             if surface.face >= 0:
                 radiance, asks = ambient_light(scene, rule, surface, shadowed(scene, surface, scratch))
                 x, y = scratch.x[i], scratch.y[i]
-                samples = samples_of(scratch.index[i], hits.split, scratch.begin[y, x], scratch.end[y, x])
+                samples = samples_of(scratch.index[i], hits.split, work.begin[y, x], work.end[y, x])
                 scratch.column[waiting] = x
                 scratch.row[waiting] = y
                 scratch.number[waiting] = samples[1] - samples[0]

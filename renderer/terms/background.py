@@ -7,7 +7,7 @@ sky and hides none of it.
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import accumulate, next_hits, no_hits
+from termwise.renderer.film import Work, accumulate, next_hits, no_hits
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.lights.sun import Suns, radiance_of_suns
 from termwise.renderer.material import emission
@@ -30,7 +30,7 @@ def _beyond(scene: SceneArrays, suns: Suns | None, origin: Vec3, direction: Vec3
 
 
 @kernel
-def _seen(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch) -> None:
+def _seen(scene: SceneArrays, key: np.uint64, work: Work, out: np.ndarray, scratch: Scratch) -> None:
     hits = no_hits()
     while True:
         hits = next_hits(scene, key, work, hits, scratch)

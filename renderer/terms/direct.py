@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, SceneArrays
-from termwise.renderer.film import accumulate, accumulate_all, next_hits, no_hits
+from termwise.renderer.film import Work, accumulate, accumulate_all, next_hits, no_hits
 from termwise.renderer.geometry import simd
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.simd import copy
@@ -314,7 +314,7 @@ def _light(scene: SceneArrays, count: int, scratch: Scratch) -> None:
 
 @kernel
 def _next_event(
-    scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
+    scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: Work, out: np.ndarray, scratch: Scratch
 ) -> None:
     samples = scratch.samples
     hits = no_hits()
@@ -469,7 +469,7 @@ def _follow(scene: SceneArrays, paths: _Paths, count: int, out: np.ndarray, scra
 
 
 @kernel
-def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch) -> None:
+def _path(scene: SceneArrays, key: np.uint64, work: Work, out: np.ndarray, scratch: Scratch) -> None:
     paths = _Paths(
         np.empty(_PATHS, np.int64),
         np.empty(_PATHS, np.int64),
@@ -513,7 +513,7 @@ def _path(scene: SceneArrays, key: np.uint64, work: np.ndarray, out: np.ndarray,
 
 @kernel
 def _photon_map(
-    scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: np.ndarray, out: np.ndarray, scratch: Scratch
+    scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: Work, out: np.ndarray, scratch: Scratch
 ) -> None:
     hits = no_hits()
     while True:
@@ -537,7 +537,7 @@ def _nearest(
     nearest: int,
     factor: float,
     key: np.uint64,
-    work: np.ndarray,
+    work: Work,
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:

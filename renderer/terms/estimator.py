@@ -111,7 +111,7 @@ class Estimator(Protocol):
 class Compiled:
     """A kernel `driver(scene, *inputs, key, work, out, scratch)`.
 
-    It adds the samples of all tiles of `work` (see `film.PrimaryHits`) to `out` (H, W, 3) float64; the engine runs it
+    It adds the samples of all tiles of `work` (see `film.Work`) to `out` (H, W, 3) float64; the engine runs it
     on tiles, `Variant.inputs` are its further arguments.
     """
 

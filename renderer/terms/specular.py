@@ -28,7 +28,7 @@ import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.dielectric import EITHER, REFLECTED, sample_interface, sample_uniformly
-from termwise.renderer.film import accumulate, next_hits, no_hits, sampler_of
+from termwise.renderer.film import Work, accumulate, next_hits, no_hits, sampler_of
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import Dielectrics, chain_ends, interface, lobe_alpha, lobe_f0, specular_weight
@@ -152,7 +152,7 @@ def chain(
     photons: PhotonMap,
     nearest: int,
     key: np.uint64,
-    work: np.ndarray,
+    work: Work,
     out: np.ndarray,
     scratch: Scratch,
 ) -> None:

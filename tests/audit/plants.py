@@ -497,8 +497,8 @@ PLANTS = (
         "prefixes: the last sample of each taken twice",
         DIRECT,
         _TILES,
-        "self._add(driver, inputs, key, work, begin, end,",
-        "self._add(driver, inputs, key, work, np.maximum(begin - 1, 0).astype(np.int32), end,",
+        "self._add(driver, inputs, key, items, begin, end,",
+        "self._add(driver, inputs, key, items, np.maximum(begin - 1, 0).astype(np.int32), end,",
     ),
     Plant(
         "passes: the radius taken for a diameter",

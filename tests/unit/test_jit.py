@@ -132,7 +132,7 @@ from termwise.scenes.analytic import disc_over_plane
 scene = attrs.evolve(disc_over_plane(height=1.0, radius=1.0, sides=3), resolution=(1, 1))
 print(render(scene, "ambient", samples=1).mean.sum())
 [kernel] = [each for each in KERNELS if each.__name__ == "_occlusion"]
-for function in (kernel, fold._for_kernels):
+for function in (kernel.compiled, fold._for_kernels):
     each = function.overloads.values()
     print(*{it.fndesc.mangled_name.encode() in (it.library._compiled_object or b"") for it in each})
 """
