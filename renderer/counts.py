@@ -11,13 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termwise.renderer.arrays import CameraArrays
+from termwise.renderer.arrays import CameraArrays, SceneArrays
 from termwise.renderer.camera import CORNER
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.vector import Vec3
 
-# Samples that each pixel gets: up to so many, all get the same.
-LEAST = 2
+# Samples that each pixel gets: up to so many, all get the same. Where few pixels hold the noise, what the corners cost
+# is soon won back, elsewhere not by 8 samples. The corners of a coarse image tell which it is.
+LEAST_FEW, LEAST_MANY = 2, 8
+COARSE = 64  # the most pixels of its sides
+# (sum d)² / (P sum d²) of the deviations d of its P pixels: the part of the noise of even counts that is left at best.
+_FEW = 0.5
 # A quarter of N guards what the corners have missed.
 _LOWEST, _HIGHEST = -2, 4
 # Logarithms of deviations are counted in sixteenths, 2^-16 to 2^16 of their mean.
@@ -40,12 +44,26 @@ class Contrast(NamedTuple):
     pixels: np.ndarray
 
 
-def corner_camera(camera: CameraArrays) -> CameraArrays:
-    """The camera whose pixels' rays go through the corners of this one's, one more a side."""
-    width, height = camera.width + 1, camera.height + 1
-    across = Vec3(*(each * (width / camera.width) for each in camera.across))
-    down = Vec3(*(each * (height / camera.height) for each in camera.down))
-    return CameraArrays(camera.position, camera.corner, across, down, width, height, CORNER)
+class Corners(NamedTuple):
+    """The corners of an image's pixels.
+
+    Attributes
+    ----------
+    arrays : the scene whose camera sees them, a pixel each.
+    wanted : (H, W) bool, the pixels that may see something.
+    items : of `film.Work`, the tiles of their corners.
+    """
+
+    arrays: SceneArrays
+    wanted: np.ndarray
+    items: np.ndarray
+
+
+def corner_camera(camera: CameraArrays, columns: int, rows: int) -> CameraArrays:
+    """The camera whose pixels' rays go through the corners of so many pixels of this one's image, one more a side."""
+    across = Vec3(*(each * ((columns + 1) / columns) for each in camera.across))
+    down = Vec3(*(each * ((rows + 1) / rows) for each in camera.down))
+    return CameraArrays(camera.position, camera.corner, across, down, columns + 1, rows + 1, CORNER)
 
 
 def corners_of(wanted: np.ndarray) -> np.ndarray:
@@ -114,14 +132,26 @@ def prepare(height: int, width: int) -> tuple[np.ndarray, ...]:
     )
 
 
+def _deviation(corners: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    height, width = wanted.shape
+    _, _, *scratch, deviation = prepare(height, width)
+    scatter(corners.reshape(height + 1, -1), wanted, *scratch, deviation)
+    return deviation
+
+
+def least(corners: np.ndarray, wanted: np.ndarray) -> int:
+    """Up to how many samples all pixels get the same, by the image at the corners of a coarse one; see `contrast`."""
+    deviation = _deviation(corners, wanted)
+    total, squares = deviation.sum(), np.square(deviation).sum()
+    return LEAST_FEW if total * total < _FEW * np.count_nonzero(wanted) * squares else LEAST_MANY
+
+
 def contrast(corners: np.ndarray, wanted: np.ndarray) -> Contrast | None:
     """Contrast of the wanted pixels (H, W) bool, of the image at all corners (H + 1, W + 1, 3).
 
     None where there is none, or where it is beyond all numbers.
     """
-    height, width = wanted.shape
-    _, _, *scratch, deviation = prepare(height, width)
-    scatter(corners.reshape(height + 1, -1), wanted, *scratch, deviation)
+    deviation = _deviation(corners, wanted)
     total = deviation.sum()
     if not 0.0 < total < math.inf:
         return None
@@ -138,14 +168,14 @@ def contrast(corners: np.ndarray, wanted: np.ndarray) -> Contrast | None:
 
 
 @device
-def _taken(level: int, shift: int, samples: int) -> float:
+def _taken(level: int, shift: int, samples: int, fewest: int) -> float:
     """Samples of a pixel of a level, before they are rounded down."""
     power = min(max((level - _MOST + shift + _STEPS // 2) // _STEPS, _LOWEST), _HIGHEST)
-    return max(float(LEAST), samples * 2.0**power)
+    return max(float(fewest), samples * 2.0**power)
 
 
 @kernel
-def spend(level: np.ndarray, pixels: np.ndarray, samples: int, each: np.ndarray) -> None:
+def spend(level: np.ndarray, pixels: np.ndarray, samples: int, fewest: int, each: np.ndarray) -> None:
     """Put into `each` (H, W) int32 what `counts` says."""
     budget = samples * pixels[:UNWANTED].sum()
     # The least leaves what does not vary at the lowest power, and is always affordable.
@@ -154,7 +184,7 @@ def spend(level: np.ndarray, pixels: np.ndarray, samples: int, each: np.ndarray)
         shift = (affordable + beyond) // 2
         spent = 0.0
         for k in range(UNWANTED):
-            spent += pixels[k] * _taken(k, shift, samples)
+            spent += pixels[k] * _taken(k, shift, samples, fewest)
         if spent <= budget:
             affordable = shift
         else:
@@ -162,14 +192,15 @@ def spend(level: np.ndarray, pixels: np.ndarray, samples: int, each: np.ndarray)
     for y in range(each.shape[0]):
         for x in range(each.shape[1]):
             known = level[y, x] == UNWANTED
-            each[y, x] = samples if known else int(_taken(level[y, x], affordable, samples))
+            each[y, x] = samples if known else int(_taken(level[y, x], affordable, samples, fewest))
 
 
-def counts(found: Contrast, samples: int) -> np.ndarray:
-    """Samples of each pixel, (H, W) int32: `samples`, above LEAST, of the mean wanted one or fewer, and of all others.
+def counts(found: Contrast, samples: int, fewest: int) -> np.ndarray:
+    """Samples of each pixel, (H, W) int32: `samples` of the mean wanted one or fewer, and of all others.
 
+    Each gets `fewest`, below `samples`, at least.
     Of none they are fewer for more `samples`: a factor that spends no more than n spends no more than any N above it.
     """
     each = np.empty(found.level.shape, np.int32)
-    spend(found.level, found.pixels, samples, each)
+    spend(found.level, found.pixels, samples, fewest, each)
     return each

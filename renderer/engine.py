@@ -10,19 +10,22 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import NamedTuple, Self
 
+import attrs
 import numpy as np
 
 from termwise.renderer import photon_map, photon_tracing
 from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays, from_scene, most_survival
 from termwise.renderer.by_reference import pack
 from termwise.renderer.counts import (
-    LEAST,
+    COARSE,
     Contrast,
+    Corners,
     contrast,
     corner_camera,
     corners_of,
     counts,
     grade,
+    least,
     prepare,
     scatter,
     spend,
@@ -91,6 +94,12 @@ def _items(tiles: np.ndarray, split: int) -> np.ndarray:
     return np.column_stack([tiles, np.full(len(tiles), split)])
 
 
+def _corner_image(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A black image of the corners of pixels (H, W), and the samples [begin, end) of each, of which there is one."""
+    height, width = wanted.shape[0] + 1, wanted.shape[1] + 1
+    return np.zeros((height, width, 3)), np.zeros((height, width), np.int32), np.ones((height, width), np.int32)
+
+
 class _Task(NamedTuple):
     """What is rendered: `stored` says which photons its maps hold, None for no map."""
 
@@ -137,9 +146,8 @@ class Engine:
         self.scene = scene
         self.without = frozenset(without)
         self.arrays: SceneArrays = from_scene(scene, without=self.without)
-        self._to_corners = self.arrays._replace(camera=corner_camera(self.arrays.camera))
         # Held, so that calls find what is packed.
-        self._packed = [pack(self.arrays), pack(self._to_corners), pack(_NO_PHOTONS)]
+        self._packed = [pack(self.arrays), pack(_NO_PHOTONS)]
         self.pool = ThreadPoolExecutor(threads)
         self.compile_seconds = 0.0
         # One of each thread, made once: 14 µs each, a tenth of a tile of 32 x 32 pixels at one sample.
@@ -150,8 +158,8 @@ class Engine:
         self._kept_bytes = kept_bytes
         self._maps: dict[tuple, photon_map.PhotonMap] = {}
         self.contrasts: dict[_Task, Contrast | None] = {}
-        # Of terms that count by contrast: the pixels it is about, and the items of their corners.
-        self._corners: dict[Term, tuple[np.ndarray, np.ndarray]] = {}
+        self._corners: dict[Term, Corners] = {}
+        self._fewest: dict[_Task, int] = {}
         width, height = scene.resolution
         everywhere = np.full((height, width), pixel is None)
         if pixel is not None:
@@ -260,7 +268,7 @@ class Engine:
         samples = whole("samples", samples)
         check(self.scene, variant, chain=chain)
         width, height = self.scene.resolution
-        if not (isinstance(variant.estimator, Compiled) and self._counts_by_contrast(variant, chain, samples)):
+        if not (isinstance(variant.estimator, Compiled) and self._counts_by_contrast(variant, chain)):
             return np.full((height, width), samples, np.int32)
         task = _Task(variant, variant.estimator.driver, chain, None)
         self._warm(task, _CORNERS, np.zeros((height, width, 3)))
@@ -307,35 +315,46 @@ class Engine:
     def _counts(self, task: _Task, samples: int, cancel: threading.Event | None) -> np.ndarray:
         """How many of a run's first samples are each pixel's, (H, W) int32: what all prefixes agree upon."""
         width, height = self.scene.resolution
-        found = None
-        if self._counts_by_contrast(task.variant, task.chain, samples):
-            if task not in self.contrasts:
-                self.contrasts[task] = self._contrast(task, cancel)
-            found = self.contrasts[task]
-        return np.full((height, width), samples, np.int32) if found is None else counts(found, samples)
+        even = np.full((height, width), samples, np.int32)
+        # What `_warm` has found.
+        fewest = self._fewest.get(task, samples)
+        if samples <= fewest:
+            return even
+        if task not in self.contrasts:
+            self.contrasts[task] = self._contrast(task, cancel)
+        found = self.contrasts[task]
+        return even if found is None else counts(found, samples, fewest)
 
-    def _counts_by_contrast(self, variant: Variant, chain: Chain, samples: int) -> bool:
-        decided = samples > LEAST and by_contrast(self.scene, variant, chain, self.without)
+    def _counts_by_contrast(self, variant: Variant, chain: Chain) -> bool:
+        decided = by_contrast(self.scene, variant, chain, self.without)
         return decided and skipped(self.scene, variant.term) is None
 
     def _contrast(self, task: _Task, cancel: threading.Event | None) -> Contrast | None:
         """How much pixels vary, by a sample at each of their corners: the same for all replicates."""
-        width, height = self.scene.resolution
-        wanted, items = self._at_corners(task.variant.term)
+        corners = self._corners[task.variant.term]
         inputs = task.variant.inputs(self.scene, task.chain, _NO_PHOTONS)
-        image = np.zeros((height + 1, width + 1, 3))
-        first, last = (np.full(image.shape[:2], each, np.int32) for each in (0, 1))
-        self._run(self._to_corners, task.driver, inputs, _CORNERS, items, first, last, image, cancel)
-        return contrast(image, wanted)
+        image, first, last = _corner_image(corners.wanted)
+        self._run(corners.arrays, task.driver, inputs, _CORNERS, corners.items, first, last, image, cancel)
+        return contrast(image, corners.wanted)
 
-    def _at_corners(self, term: Term) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels that may see something of a term, (H, W) bool, and the items of their corners."""
-        if term not in self._corners:
-            wanted = may_see(self.scene, term)
-            if needs_every_pixel(self.scene, term):
-                wanted[:] = True
-            self._corners[term] = wanted, _items(self._tiles(corners_of(wanted)), 1)
-        return self._corners[term]
+    def _least(self, task: _Task) -> int:
+        """Up to how many samples all pixels get the same, by a coarse image; its rays do not count."""
+        width, height = self.scene.resolution
+        coarse = attrs.evolve(self.scene, resolution=(min(width, COARSE), min(height, COARSE)))
+        corners = self._corners_of(coarse, task.variant.term)
+        inputs = task.variant.inputs(self.scene, task.chain, _NO_PHOTONS)
+        image, first, last = _corner_image(corners.wanted)
+        work = Work(corners.items, first, last, np.zeros(1, np.int64), len(corners.items))
+        task.driver(corners.arrays, *inputs, _CORNERS, work, image, new_scratch())
+        return least(image, corners.wanted)
+
+    def _corners_of(self, scene: Scene, term: Term) -> Corners:
+        """The corners of the pixels of this scene, at any resolution, that may see something of a term."""
+        wanted = may_see(scene, term)
+        if needs_every_pixel(scene, term):
+            wanted[:] = True
+        arrays = self.arrays._replace(camera=corner_camera(self.arrays.camera, *scene.resolution))
+        return Corners(arrays, wanted, _items(self._tiles(corners_of(wanted)), 1))
 
     def _add_beyond(self, term: Term, out: np.ndarray, samples: int) -> None:
         """What `samples` of a term add beyond its window, the constant sky, rounded as a kernel's sum is."""
@@ -429,8 +448,12 @@ class Engine:
             warm(scatter, *prepare(0, 0))
             level, pixels = np.empty((0, 0), np.int64), np.empty(0, np.int64)
             warm(grade, np.empty((0, 0)), np.empty((0, 0), np.bool_), level, pixels)
-            warm(spend, level, pixels, 0, np.empty((0, 0), np.int32))
-            self._at_corners(task.variant.term)
+            warm(spend, level, pixels, 0, 0, np.empty((0, 0), np.int32))
+        if self._counts_by_contrast(task.variant, task.chain):
+            self._fewest[task] = self._least(task)
+            term = task.variant.term
+            self._corners[term] = self._corners_of(self.scene, term)
+            self._packed.append(pack(self._corners[term].arrays))
         self._warmed.add(task)
         self.compile_seconds += time.perf_counter() - start
 

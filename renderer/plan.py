@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, FEW_EMITTERS, MANY_EMITTERS, emitters_of, light_samples
-from termwise.renderer.counts import LEAST
+from termwise.renderer.counts import LEAST_FEW, LEAST_MANY
 from termwise.renderer.film import ALONE, primary_hits_of
 from termwise.renderer.photon_map import KEPT_BYTES
 from termwise.renderer.terms import VARIANTS
@@ -343,7 +343,8 @@ def by_contrast(scene: Scene, variant: Variant, chain: Chain, without: Collectio
 def _counts(scene: Scene, variant: Variant, chain: Chain) -> str | None:
     if not by_contrast(scene, variant, chain) or skipped(scene, variant.term):
         return None
-    return f"beyond {LEAST} samples, one at each corner of a pixel says how much it varies: N / 4 to 16 N"
+    begin = f"beyond {LEAST_FEW} samples where few pixels hold the noise, else {LEAST_MANY}"
+    return f"{begin}, one at each corner of a pixel says how much it varies: N / 4 to 16 N"
 
 
 REDUCTIONS: dict[str, Reduction] = {

@@ -15,7 +15,17 @@ from scipy import stats
 from termwise.renderer import Engine, find, render_terms
 from termwise.renderer.arrays import from_scene
 from termwise.renderer.camera import direction_through
-from termwise.renderer.counts import LEAST, UNWANTED, Contrast, contrast, corner_camera, corners_of, counts
+from termwise.renderer.counts import (
+    LEAST_FEW,
+    LEAST_MANY,
+    UNWANTED,
+    Contrast,
+    contrast,
+    corner_camera,
+    corners_of,
+    counts,
+    least,
+)
 from termwise.renderer.plan import REDUCTIONS, plan
 from termwise.renderer.replay import replay
 from termwise.scenes.analytic import plate
@@ -43,28 +53,30 @@ def of_levels(level: ArrayLike) -> Contrast:
 
 def test_samples_go_as_the_deviation():
     """Deviations 4, 2, 1, 1 have the mean 2: 2 N, N, N / 2, N / 2 spend four pixels' samples exactly."""
-    np.testing.assert_array_equal(counts(of_deviations([4.0, 2.0, 1.0, 1.0]), 16), [[32, 16, 8, 8]])
+    np.testing.assert_array_equal(counts(of_deviations([4.0, 2.0, 1.0, 1.0]), 16, 2), [[32, 16, 8, 8]])
 
 
 def test_a_pixel_in_many():
     """One of 64 varies: it gets 16 N, the others N / 4, but two samples at least; what is known takes N."""
     one = of_levels([[512, *[0] * 63, UNWANTED, UNWANTED]])
-    np.testing.assert_array_equal(counts(one, 64), [[1024, *[16] * 63, 64, 64]])
-    np.testing.assert_array_equal(counts(one, 4)[0, 1:64], LEAST)
+    np.testing.assert_array_equal(counts(one, 64, 2), [[1024, *[16] * 63, 64, 64]])
+    np.testing.assert_array_equal(counts(one, 4, 2)[0, 1:64], 2)
+    np.testing.assert_array_equal(counts(one, 16, 8)[0, 1:64], 8)
 
 
-def test_no_pixel_starves_no_more_is_spent_than_asked_and_none_gets_fewer_for_more():
+@pytest.mark.parametrize("fewest", [LEAST_FEW, LEAST_MANY])
+def test_no_pixel_starves_no_more_is_spent_than_asked_and_none_gets_fewer_for_more(fewest):
     rng = np.random.default_rng(1)
     for _ in range(50):
         found = of_levels(rng.integers(0, 513, (5, 8)))
-        before = np.full((5, 8), LEAST)
-        for samples in range(LEAST + 1, 70):
-            each = counts(found, samples)
+        before = np.full((5, 8), fewest)
+        for samples in range(fewest + 1, 70):
+            each = counts(found, samples, fewest)
             assert each.mean() <= samples
             assert (each >= before).all()
-            assert (each >= max(LEAST, samples // 4)).all()
+            assert (each >= max(fewest, samples // 4)).all()
             before = each
-        np.testing.assert_array_equal(np.log2(counts(found, 64)) % 1, 0.0)
+        np.testing.assert_array_equal(np.log2(counts(found, 64, fewest)) % 1, 0.0)
 
 
 def test_contrast_is_the_variance_among_corners_and_around():
@@ -96,12 +108,24 @@ def test_without_contrast_counts_are_even(value):
     assert contrast(corners, np.ones((3, 4), bool)) is None
 
 
+def test_fewer_samples_are_even_where_few_pixels_hold_the_noise():
+    """An edge of two columns of 40, with those about it a quarter of the pixels, and noise in each of them."""
+    corners, wanted = np.zeros((41, 41, 3)), np.ones((40, 40), bool)
+    corners[:, 20:] = 1.0
+    assert least(corners, wanted) == LEAST_FEW
+    # Of the pixels that the edge is seen by, and no other, all hold as much as the next.
+    assert least(corners, wanted & (np.abs(np.arange(40) - 19) == 1)) == LEAST_MANY
+    assert least(np.random.default_rng(3).uniform(size=(41, 41, 3)), wanted) == LEAST_MANY
+    assert least(np.zeros((41, 41, 3)), wanted) == LEAST_MANY
+
+
 def test_rays_go_through_the_corners():
     camera = from_scene(small("two_cubes", 16, 9)).camera
-    corners = corner_camera(camera)
-    assert (corners.width, corners.height) == (17, 10)
-    for x, y in ((0, 0), (16, 9), (5, 3)):
+    corners, coarse = corner_camera(camera, 16, 9), corner_camera(camera, 4, 3)
+    assert (corners.width, corners.height, coarse.width, coarse.height) == (17, 10, 5, 4)
+    for x, y in ((0, 0), (16, 9), (4, 3)):
         np.testing.assert_allclose(direction_through(corners, x, y), direction_through(camera, x, y), atol=1e-15)
+        np.testing.assert_allclose(direction_through(coarse, x / 4, y / 3), direction_through(camera, x, y), atol=1e-15)
 
 
 @pytest.mark.parametrize(("scene", "variant"), [("cornell_box", DIRECT), ("two_cubes", BACKGROUND)])
@@ -187,7 +211,7 @@ def test_a_pixel_alone_and_replayed_is_the_rendered_one(compiled):
         (known,) = engine.contrasts.values()
     assert known is not None
     assert (known.level < UNWANTED).all()
-    each = counts(known, 16)
+    each = counts(known, 16, LEAST_MANY)
     assert each.min() < each.max()
     for place in (each.argmin(), each.argmax()):
         y, x = divmod(int(place), 12)
@@ -279,4 +303,4 @@ def test_what_the_corners_miss_has_its_mean(compiled):
         *_, _ = engine.prefixes(DIRECT, samples=16, seed=3, replicate=0)
         (found,) = engine.contrasts.values()
     assert found is not None
-    assert counts(found, 16)[y, x] == 4
+    assert counts(found, 16, LEAST_FEW)[y, x] == 4
