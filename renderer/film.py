@@ -130,6 +130,10 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: Work, hits: PrimaryHits,
         item = deal(work.dealt) if taken < work.most else len(work.items)
         if item >= len(work.items):
             return PrimaryHits(0, True, split, taken, item, x, y, index)
+        if taken == 0:
+            # All rays of a call leave one point, and pass no face.
+            for i in range(SIZE):
+                put_ray(scratch.primary, i, scene.camera.position, column(scratch.primary.directions, i))
         taken += 1
         x, y = _next_pixel(work, work.items[item], work.items[item, 0], work.items[item, 1])
         begins = y == work.items[item, 3]
@@ -178,8 +182,6 @@ def _look(scene: SceneArrays, work: Work, split: int, count: int, scratch: Scrat
         direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])
         put_column(primary.directions, i, direction)
     shared = camera.rule != JITTER and scene.skips.pixel
-    for i in range(count):
-        put_ray(primary, i, camera.position, column(primary.directions, i))
     before, asked = hit_of(primary, SIZE - 1), count
     if shared:
         # The rays of a pixel are one; where a pixel goes on, it was traced with the 64 before.
@@ -207,17 +209,17 @@ def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
 
 
 @device
-def accumulate_all(out: np.ndarray, row: np.ndarray, column: np.ndarray, radiance: np.ndarray, count: int) -> None:
-    """Add the first `count` radiances, rows of (N, 3), to their pixels, one by one and in this order."""
+def accumulate_hits(out: np.ndarray, count: int, scratch: Scratch) -> None:
+    """Add `scratch.radiance` of the first `count` primary hits to their pixels, one by one and in this order."""
     if count > 0:
-        y, x = row[0], column[0]
+        y, x = scratch.y[0], scratch.x[0]
         total = vec3(out[y], x)
         for i in range(count):
-            if row[i] != y or column[i] != x:
+            if scratch.y[i] != y or scratch.x[i] != x:
                 put(out[y], x, total)
-                y, x = row[i], column[i]
+                y, x = scratch.y[i], scratch.x[i]
                 total = vec3(out[y], x)
-            total = add(total, vec3(radiance, i))
+            total = add(total, column(scratch.radiance, i))
         put(out[y], x, total)
 
 

@@ -52,7 +52,7 @@ def _new_light_samples() -> LightSamples:
     return LightSamples(*map(on_own_lines, arrays))
 
 
-@by_reference(radiance=(3,), weight=(3,), front=(3,), lanes=(8,))
+@by_reference(radiance=(SIZE,), weight=(SIZE,), front=(SIZE,), lanes=(8,))
 class Scratch(NamedTuple):
     """Memory of one thread.
 
@@ -64,8 +64,8 @@ class Scratch(NamedTuple):
     x, y, pixel, index : (64,) each, int64 but for the uint64 of `pixel`: of each primary hit the pixel's column and
         row, the key of the pixel's randomness, and its number within the pixel.
     column, row : (64,) int64 each, the pixel of each that waits: of a primary hit, or of a light sample.
-    radiance, weight : (64, 3) float64, what it receives, and by what that, or a ray's light, is multiplied.
-    front : (64, 3) float64, what arrives at the front of a translucent surface.
+    radiance, weight : (3, 64) float64, what it receives, and by what that, or a ray's light, is multiplied.
+    front : (3, 64) float64, what arrives at the front of a translucent surface.
     side : (64,) float64, the side of its face on which a ray has met each surface whose point is in `samples`.
     number, asks : (64,) int64 and bool, how many samples a primary hit is for, and whether they have rays.
     rays : the occlusion rays; `lane` (64,) int64 is the light sample of each, `share` (64,) float64 the translucency
@@ -118,9 +118,9 @@ def new_scratch() -> Scratch:
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.int64),
-        _zeros((SIZE, 3)),
-        _zeros((SIZE, 3)),
-        _zeros((SIZE, 3)),
+        _zeros((3, SIZE)),
+        _zeros((3, SIZE)),
+        _zeros((3, SIZE)),
         _zeros(SIZE),
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.bool_),

@@ -195,7 +195,7 @@ def _map(scene: SceneArrays, sky_map: SkyMap | None, rule: int, asking: int, scr
             origin, normal = column(scratch.rays.origins, k), column(directions, k)
             direction, weight = _by_direction(scene, sky_map, rule, origin, normal, scratch.u[k], scratch.v[k])
             put_column(directions, k, direction)
-            put(scratch.weight, k, weight)
+            put_column(scratch.weight, k, weight)
         return
     for k in range(asking):
         direction, scratch.u[k] = ambient_direction(scene, rule, column(directions, k), scratch.u[k], scratch.v[k])
@@ -209,7 +209,7 @@ def _passing(
     """What ray k lets pass of light of radiance 1, or of the sky's."""
     weight = Vec3(scratch.u[k], scratch.u[k], scratch.u[k])
     if sky_map is not None:
-        weight = vec3(scratch.weight, k)
+        weight = column(scratch.weight, k)
     found = scratch.rays.found[k]
     if passing is not None and found:
         return arriving_hidden(scene, weight, scratch.rays, k, far, scratch)
@@ -224,7 +224,7 @@ def _resolve(scene: SceneArrays, waiting: int, asking: int, far: float, out: np.
         occlude_wave(scene, scratch.rays, asking, far, False, scratch)
     k = 0
     for j in range(waiting):
-        x, y, radiance = scratch.column[j], scratch.row[j], vec3(scratch.radiance, j)
+        x, y, radiance = scratch.column[j], scratch.row[j], column(scratch.radiance, j)
         total = vec3(out[y], x)
         # Sample by sample: a run in parts has the bits of the whole.
         for _ in range(scratch.number[j]):
@@ -256,7 +256,7 @@ def _occlusion(scene: SceneArrays, rule: int, key: np.uint64, work: Work, out: n
                 scratch.row[waiting] = y
                 scratch.number[waiting] = samples[1] - samples[0]
                 scratch.asks[waiting] = asks
-                put(scratch.radiance, waiting, radiance)
+                put_column(scratch.radiance, waiting, radiance)
                 waiting += 1
                 if asks:
                     asking = _ask(scene, surface, i, samples, asking, scratch)

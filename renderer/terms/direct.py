@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from termwise.renderer.arrays import FAINT, SceneArrays
-from termwise.renderer.film import Work, accumulate, accumulate_all, next_hits, no_hits
+from termwise.renderer.film import Work, accumulate, accumulate_hits, next_hits, no_hits
 from termwise.renderer.geometry import simd
 from termwise.renderer.geometry.intersect import make_ray
 from termwise.renderer.geometry.simd import copy
@@ -274,7 +274,7 @@ def _arrive_on_both(
     _arrive(scene, count, coherent, scratch)
     if translucency is not None:
         for k in range(count):
-            put(scratch.front, k, column(samples.irradiance, k))
+            put_column(scratch.front, k, column(samples.irradiance, k))
             face = entry(samples.face, k)
             scratch.share[k] = translucency[entry(scene.geometry.object, face)] if face >= 0 else 0.0
             scratch.number[k] = face
@@ -283,7 +283,7 @@ def _arrive_on_both(
                 samples.face[k] = -1
         _arrive(scene, count, coherent, scratch)
         for k in range(count):
-            front = vec3(scratch.front, k)
+            front = column(scratch.front, k)
             if scratch.share[k] > 0.0:
                 front = _of_both(front, column(samples.irradiance, k), scratch.share[k])
             put_column(samples.irradiance, k, front)
@@ -300,7 +300,7 @@ def _light(scene: SceneArrays, count: int, scratch: Scratch) -> None:
     samples = scratch.samples
     share = 1.0 / scene.light_samples
     for i in range(count):
-        put(scratch.radiance, i, scale(vec3(scratch.radiance, i), INV_PI))
+        put_column(scratch.radiance, i, scale(column(scratch.radiance, i), INV_PI))
     for k in range(scene.light_samples):
         if scene.emitters.drawn:
             for i in range(count):
@@ -309,7 +309,7 @@ def _light(scene: SceneArrays, count: int, scratch: Scratch) -> None:
         _arrive_on_both(scene, scene.materials.translucency, count, True, scratch)
         for i in range(count):
             straight = scale(column(samples.irradiance, i), share)
-            put(scratch.radiance, i, add(vec3(scratch.radiance, i), straight))
+            put_column(scratch.radiance, i, add(column(scratch.radiance, i), straight))
 
 
 @kernel
@@ -331,18 +331,18 @@ def _next_event(
                 if not (scene.skips.diffuse and is_black(weight)):
                     face = surface.face
             samples.face[i] = face
-            put(scratch.weight, i, weight)
-            put(scratch.radiance, i, Vec3(0.0, 0.0, 0.0))
+            put_column(scratch.weight, i, weight)
+            put_column(scratch.radiance, i, Vec3(0.0, 0.0, 0.0))
         if len(photons.face) > 0:
             for i in range(hits.count):
                 if samples.face[i] >= 0:
                     surface = surface_at(scene, scratch.primary, i, scratch)
-                    put(scratch.radiance, i, density_irradiance(scene, photons, surface, scratch))
+                    put_column(scratch.radiance, i, density_irradiance(scene, photons, surface, scratch))
         _light(scene, hits.count, scratch)
         for i in range(hits.count):
-            radiance = mul(vec3(scratch.weight, i), vec3(scratch.radiance, i))
-            put(scratch.radiance, i, scale(radiance, scene.irradiance_factor))
-        accumulate_all(out, scratch.y, scratch.x, scratch.radiance, hits.count)
+            radiance = mul(column(scratch.weight, i), column(scratch.radiance, i))
+            put_column(scratch.radiance, i, scale(radiance, scene.irradiance_factor))
+        accumulate_hits(out, hits.count, scratch)
 
 
 class _Paths(NamedTuple):
@@ -463,9 +463,8 @@ def _follow(scene: SceneArrays, paths: _Paths, count: int, out: np.ndarray, scra
         alive = kept
         coherent = False
     for path in range(count):
-        radiance = mul(vec3(paths.weight, path), vec3(paths.radiance, path))
-        put(paths.radiance, path, scale(radiance, scene.irradiance_factor))
-    accumulate_all(out, paths.row, paths.column, paths.radiance, count)
+        radiance = scale(mul(vec3(paths.weight, path), vec3(paths.radiance, path)), scene.irradiance_factor)
+        accumulate(out, paths.row[path], paths.column[path], radiance)
 
 
 @kernel
