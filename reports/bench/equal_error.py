@@ -42,8 +42,8 @@ SECONDS = 0.25
 _SEED, _TRUTH_SEED = 1, 2
 # Of the truth: runs of each side, how much finer than our finest they are, and Mitsuba's samples a pixel.
 _TRUTH_RUNS, _FINER, _TRUTH_SPP = 4, 4, 64
-# A setting that takes so many times the pilot's best at every target is not measured again.
-_REACH = 1.5
+# A setting that takes so many times the best at every target is not measured again: in one run, then in two.
+_REACH = 2.0, 1.2
 _ENDLESS = 2**20
 
 
@@ -179,14 +179,17 @@ def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, resu
     with Engine(scene, threads=threads) as engine:
         counts = [_affordable(engine, case, seconds) for case in cases]
         truth = _truth(engine, cases[0], limit, finest=max(counts))
+        pilots = [_ours(engine, case, count, truth, run=runs) for case, count in zip(cases, counts, strict=True)]
+        first = {setting: _theirs(setting, truth, seconds, seed=_SEED + runs) for setting in settings}
+        near = {setting for pilot in pilots for setting in _within_reach(pilot, first, truth, _REACH[0])}
         # Twice, for other work on the machine must not put a setting out of reach.
-        first = {
-            setting: _joined([_theirs(setting, truth, seconds, seed=_SEED + runs + each) for each in range(2)])
-            for setting in settings
-        }
-        for case, count in zip(cases, counts, strict=True):
-            pilot = _ours(engine, case, count, truth, run=runs)
-            kept = _within_reach(pilot, first, truth)
+        for setting in settings:
+            if setting in near:
+                again = _theirs(setting, truth, seconds, seed=_SEED + runs + 1)
+                first[setting] = _joined([first[setting], again])
+        for case, count, pilot in zip(cases, counts, pilots, strict=True):
+            tried = {setting: curve for setting, curve in first.items() if setting in near}
+            kept = _within_reach(pilot, tried, truth, _REACH[1])
             images: list[np.ndarray] = []
             points: dict[Any, list[Curve]] = {side: [] for side in ("ours", *kept)}
             for run in range(runs):
@@ -307,8 +310,8 @@ def _joined(curves: list[Curve]) -> Curve:
     )
 
 
-def _within_reach(ours: Curve, theirs: dict[Any, Curve], truth: Truth) -> list[Any]:
-    """Settings that the pilot found near Mitsuba's best at one target at least."""
+def _within_reach(ours: Curve, theirs: dict[Any, Curve], truth: Truth, reach: float) -> list[Any]:
+    """Settings that were found to take at most `reach` times as long as Mitsuba's best at one target at least."""
     known = {
         setting: (list(pooled(curve.square, truth.noise)), list(curve.seconds.min(axis=0)))
         for setting, curve in theirs.items()
@@ -317,13 +320,13 @@ def _within_reach(ours: Curve, theirs: dict[Any, Curve], truth: Truth) -> list[A
     for target in _targets(list(pooled(ours.square, truth.noise)), list(known.values())):
         times = {setting: seconds_to(target, *curve) for setting, curve in known.items()}
         best = min(times.values())
-        kept += [setting for setting, spent in times.items() if spent <= _REACH * best]
+        kept += [setting for setting, spent in times.items() if spent <= reach * best]
     return [setting for setting in theirs if setting in kept]
 
 
 def _targets(ours: list[float], theirs: list[tuple[list[float], list[float]]]) -> tuple[float, ...]:
     """Errors within reach of ours and of what may be Mitsuba's best, by curves (RMSE, seconds) of its settings."""
-    return targets(ours, [theirs[place][0] for place in leaders(theirs, _REACH)]) if theirs else ()
+    return targets(ours, [theirs[place][0] for place in leaders(theirs, _REACH[1])]) if theirs else ()
 
 
 def _rows(ours: Curve, theirs: dict[str, Curve], truth: Truth, runs: int) -> Iterator[dict[str, Any]]:
