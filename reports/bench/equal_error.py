@@ -1,9 +1,9 @@
 """Seconds to equal error of one term: `speed-up(e) = t_Mitsuba(e) / t_ours(e)`, e = RMSE over pixels and channels.
 
 Both sides render the same integral with the same camera on the same number of threads, each number of samples in a
-render of its own, in alternating runs: ours, then each setting of Mitsuba's that a pilot run found within reach of its
-best. RMSE is pooled over the runs; a speed-up is the median over runs of the ratio of interpolated seconds. At each
-target Mitsuba has the setting that is its fastest there.
+render of its own, in alternating runs: our estimators of the integral, then each setting of Mitsuba's that pilot runs
+found within reach of its best. RMSE is pooled over the runs; a speed-up is the median over runs of the ratio of
+interpolated seconds. At each target Mitsuba has the setting that is its fastest there.
 
 The truth is the mean of both sides' own renders with other seeds, ours much finer, weighted by inverse variance;
 its remaining mean square error is taken away from every mean square, and stands in the result beside how far the two
@@ -187,33 +187,35 @@ def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, resu
             if setting in near:
                 again = _theirs(setting, truth, seconds, seed=_SEED + runs + 1)
                 first[setting] = _joined([first[setting], again])
-        for case, count, pilot in zip(cases, counts, pilots, strict=True):
-            tried = {setting: curve for setting, curve in first.items() if setting in near}
-            kept = _within_reach(pilot, tried, truth, _REACH[1])
-            images: list[np.ndarray] = []
-            points: dict[Any, list[Curve]] = {side: [] for side in ("ours", *kept)}
-            for run in range(runs):
-                points["ours"].append(_ours(engine, case, count, truth, run=run, images=images))
-                for setting in kept:
-                    points[setting].append(_theirs(setting, truth, seconds, seed=_SEED + run))
-            curves = {side: _joined(each) for side, each in points.items()}
+        tried = {setting: curve for setting, curve in first.items() if setting in near}
+        within = {setting for pilot in pilots for setting in _within_reach(pilot, tried, truth, _REACH[1])}
+        kept = [setting for setting in settings if setting in within]
+        images: list[list[np.ndarray]] = [[] for _ in cases]
+        mine: list[list[Curve]] = [[] for _ in cases]
+        points: dict[Any, list[Curve]] = {setting: [] for setting in kept}
+        for run in range(runs):
+            for case, count, seen, curves in zip(cases, counts, images, mine, strict=True):
+                curves.append(_ours(engine, case, count, truth, run=run, images=seen))
+            for setting in kept:
+                points[setting].append(_theirs(setting, truth, seconds, seed=_SEED + run))
+        measured = {setting: _joined(each) for setting, each in points.items()}
+        for case, seen, curves in zip(cases, images, mine, strict=True):
             common = {
                 "scene": scene.name, "term": limit.term, "scope": case.scope, "variant": case.label,
             }  # fmt: skip
-            ours = curves.pop("ours")
-            floor = _floor(images, truth) if case.kernel_based else None
+            ours = _joined(curves)
+            floor = _floor(seen, truth) if case.kernel_based else None
             facts = {"compile_seconds": engine.compile_seconds, "floor": floor}
             result["curves"].append(common | {"side": "ours", "setting": case.label} | facts | _points(ours, truth))
             for setting in settings:
-                curve = curves.get(setting, first[setting])
+                curve = measured.get(setting, first[setting])
                 facts = {"compile_seconds": setting.compile_seconds, "trace_seconds": setting.overhead}
-                facts |= {"load_seconds": loading, "kept": setting in curves}
+                facts |= {"load_seconds": loading, "kept": setting in measured}
                 result["curves"].append(
                     common | {"side": "mitsuba", "setting": setting.name} | facts | _points(curve, truth)
                 )
-            measured = {setting.name: curve for setting, curve in curves.items()}
             known_facts = {"floor": floor, "truth_rmse": truth.noise**0.5, "truth_differs": truth.differ}
-            rows = list(_rows(ours, measured, truth, runs))
+            rows = list(_rows(ours, {setting.name: curve for setting, curve in measured.items()}, truth, runs))
             result["cases"] += [common | row | known_facts for row in rows]
             if not rows:
                 result["apart"].append(common)
