@@ -19,7 +19,7 @@ from termwise.renderer.vector import Vec3
 # Samples that each pixel gets: up to so many, all get the same. Where few pixels hold the noise, what the corners cost
 # is soon won back, elsewhere not by 8 samples. The corners of a coarse image tell which it is.
 LEAST_FEW, LEAST_MANY = 2, 8
-COARSE = 64  # the most pixels of its sides
+_COARSE = 64  # the most pixels of its sides
 # (sum d)² / (P sum d²) of the deviations d of its P pixels: the part of the noise of even counts that is left at best.
 _FEW = 0.5
 # A quarter of N guards what the corners have missed.
@@ -70,6 +70,14 @@ def corners_of(wanted: np.ndarray) -> np.ndarray:
     """Corners (H + 1, W + 1) bool of the wanted pixels (H, W) bool."""
     padded = np.pad(wanted, 1)
     return padded[1:, 1:] | padded[1:, :-1] | padded[:-1, 1:] | padded[:-1, :-1]
+
+
+def coarse(wanted: np.ndarray) -> np.ndarray:
+    """Pixels of a coarse image in which some of the wanted ones (H, W) bool lie."""
+    for axis, size in enumerate(wanted.shape):
+        few = min(size, _COARSE)
+        wanted = np.logical_or.reduceat(wanted, np.arange(few) * size // few, axis=axis)
+    return wanted
 
 
 @kernel

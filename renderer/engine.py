@@ -10,16 +10,15 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import NamedTuple, Self
 
-import attrs
 import numpy as np
 
 from termwise.renderer import photon_map, photon_tracing
 from termwise.renderer.arrays import MAX_SURVIVAL, SceneArrays, from_scene, most_survival
 from termwise.renderer.by_reference import pack
 from termwise.renderer.counts import (
-    COARSE,
     Contrast,
     Corners,
+    coarse,
     contrast,
     corner_camera,
     corners_of,
@@ -339,21 +338,17 @@ class Engine:
 
     def _least(self, task: _Task) -> int:
         """Up to how many samples all pixels get the same, by a coarse image; its rays do not count."""
-        width, height = self.scene.resolution
-        coarse = attrs.evolve(self.scene, resolution=(min(width, COARSE), min(height, COARSE)))
-        corners = self._corners_of(coarse, task.variant.term)
+        corners = self._corners_of(coarse(self._corners[task.variant.term].wanted))
         inputs = task.variant.inputs(self.scene, task.chain, _NO_PHOTONS)
         image, first, last = _corner_image(corners.wanted)
         work = Work(corners.items, first, last, np.zeros(1, np.int64), len(corners.items))
         task.driver(corners.arrays, *inputs, _CORNERS, work, image, new_scratch())
         return least(image, corners.wanted)
 
-    def _corners_of(self, scene: Scene, term: Term) -> Corners:
-        """The corners of the pixels of this scene, at any resolution, that may see something of a term."""
-        wanted = may_see(scene, term)
-        if needs_every_pixel(scene, term):
-            wanted[:] = True
-        arrays = self.arrays._replace(camera=corner_camera(self.arrays.camera, *scene.resolution))
+    def _corners_of(self, wanted: np.ndarray) -> Corners:
+        """The corners of the wanted pixels, of an image of any resolution."""
+        height, width = wanted.shape
+        arrays = self.arrays._replace(camera=corner_camera(self.arrays.camera, width, height))
         return Corners(arrays, wanted, _items(self._tiles(corners_of(wanted)), 1))
 
     def _add_beyond(self, term: Term, out: np.ndarray, samples: int) -> None:
@@ -450,10 +445,13 @@ class Engine:
             warm(grade, np.empty((0, 0)), np.empty((0, 0), np.bool_), level, pixels)
             warm(spend, level, pixels, 0, 0, np.empty((0, 0), np.int32))
         if self._counts_by_contrast(task.variant, task.chain):
-            self._fewest[task] = self._least(task)
             term = task.variant.term
-            self._corners[term] = self._corners_of(self.scene, term)
+            wanted = may_see(self.scene, term)
+            if needs_every_pixel(self.scene, term):
+                wanted[:] = True
+            self._corners[term] = self._corners_of(wanted)
             self._packed.append(pack(self._corners[term].arrays))
+            self._fewest[task] = self._least(task)
         self._warmed.add(task)
         self.compile_seconds += time.perf_counter() - start
 

@@ -91,7 +91,8 @@ class Setting:
     ladder : counts of samples of its pilot run; None before it.
     overhead : wall-clock seconds that a call takes beyond its kernels, median of all calls so far: it traces its
         program anew.
-    compile_seconds : the same of first calls, discarded otherwise: they compile, or find kernels on the disk.
+    compile_seconds : the same of the first call, discarded otherwise: it compiles, or finds kernels on the disk. Those
+        of other counts have the same kernels, but where samples are too many for one.
     """
 
     def __init__(self, name: str, sampler: str, scene: Any, integrator: Any, camera: dict[str, Any]) -> None:
@@ -99,7 +100,7 @@ class Setting:
         self.name, self._scene, self._integrator = (f"{sampler} {name}".strip(), scene, integrator)
         self._sensor = sensor(camera, 1, sampler)
         self._counts = mi.load_dict({"type": sampler})
-        self._compiled: set[int] = set()
+        self._compiled = False
         self._overheads: list[float] = []
         self.ladder: tuple[int, ...] | None = None
         self.compile_seconds = 0.0
@@ -116,10 +117,10 @@ class Setting:
 
     def render(self, count: int, seed: int) -> tuple[np.ndarray, float]:
         """Image (H, W, 3) float64 of `count` samples a pixel, and the seconds of its kernels."""
-        if count not in self._compiled:
-            self._compiled.add(count)
+        if not self._compiled:
+            self._compiled = True
             self.render(count, seed)
-            self.compile_seconds += self._overheads.pop()
+            self.compile_seconds = self._overheads.pop()
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
             start = time.perf_counter()

@@ -20,6 +20,7 @@ from termwise.renderer.counts import (
     LEAST_MANY,
     UNWANTED,
     Contrast,
+    coarse,
     contrast,
     corner_camera,
     corners_of,
@@ -119,13 +120,21 @@ def test_fewer_samples_are_even_where_few_pixels_hold_the_noise():
     assert least(np.zeros((41, 41, 3)), wanted) == LEAST_MANY
 
 
+def test_a_coarse_image_wants_what_any_of_its_pixels_hold():
+    wanted = np.zeros((3, 200), bool)
+    wanted[1, [0, 199]] = True
+    found = coarse(wanted)
+    assert found.shape == (3, 64)
+    assert np.argwhere(found).tolist() == [[1, 0], [1, 63]]
+
+
 def test_rays_go_through_the_corners():
     camera = from_scene(small("two_cubes", 16, 9)).camera
-    corners, coarse = corner_camera(camera, 16, 9), corner_camera(camera, 4, 3)
-    assert (corners.width, corners.height, coarse.width, coarse.height) == (17, 10, 5, 4)
+    corners, fewer = corner_camera(camera, 16, 9), corner_camera(camera, 4, 3)
+    assert (corners.width, corners.height, fewer.width, fewer.height) == (17, 10, 5, 4)
     for x, y in ((0, 0), (16, 9), (4, 3)):
         np.testing.assert_allclose(direction_through(corners, x, y), direction_through(camera, x, y), atol=1e-15)
-        np.testing.assert_allclose(direction_through(coarse, x / 4, y / 3), direction_through(camera, x, y), atol=1e-15)
+        np.testing.assert_allclose(direction_through(fewer, x / 4, y / 3), direction_through(camera, x, y), atol=1e-15)
 
 
 @pytest.mark.parametrize(("scene", "variant"), [("cornell_box", DIRECT), ("two_cubes", BACKGROUND)])
