@@ -130,23 +130,18 @@ def _load(builder: Any, place: Any, known: dict[tuple[int, ...], int], at: tuple
 def _memory_of(kind: types.Type) -> np.dtype:
     """How the value of a type lies in memory."""
     if isinstance(kind, Reference):
-        return _struct(_memory_of(each) for each in kind.types)
+        return _struct(map(_memory_of, kind.types))
     if isinstance(kind, types.Array):
         extents = np.dtype((np.int64, (kind.ndim,)))
         # Counter of references, Python's object, entries, bytes of one, the first, shape, strides.
         return _struct([*[np.dtype(np.int64)] * 5, extents, extents])
     if isinstance(kind, types.UniTuple | types.NamedUniTuple):
-        return np.dtype((_memory_within(kind.dtype), (kind.count,)))
+        return np.dtype((_memory_of(kind.dtype), (kind.count,)))
     if isinstance(kind, types.BaseTuple):
-        return _struct(_memory_within(each) for each in kind)
+        return _struct(map(_memory_of, kind))
     if isinstance(kind, types.NoneType):
         return np.dtype(np.int64)
     return np.dtype(str(kind))
-
-
-def _memory_within(kind: types.Type) -> np.dtype:
-    """As `_memory_of`, within a tuple that is none of these: it has the address of one that is."""
-    return np.dtype(np.int64) if isinstance(kind, Reference) else _memory_of(kind)
 
 
 def _struct(fields: Any) -> np.dtype:
@@ -163,24 +158,17 @@ def _memory(kind: Reference) -> np.dtype:
     return found
 
 
-def _words(kind: types.Type, value: Any, held: list[Any]) -> Any:
-    """What is written to the memory of a value; `held` gets what it has the address of."""
+def _words(kind: types.Type, value: Any) -> Any:
+    """What is written to the memory of a value."""
     if isinstance(kind, Reference):
         _refuse_other_shapes(kind, value)
-        return tuple(_words(each, item, held) for each, item in zip(kind.types, value, strict=True))
+        return tuple(map(_words, kind.types, value))
     if isinstance(kind, types.Array):
         # Of no counter, and no object: whoever holds what is packed holds the array.
         return 0, 0, value.size, value.itemsize, value.ctypes.data, value.shape, value.strides
     if isinstance(kind, types.BaseTuple):
-        return tuple(_words_within(each, item, held) for each, item in zip(kind, value, strict=True))
+        return tuple(map(_words, kind, value))
     return 0 if value is None else value
-
-
-def _words_within(kind: types.Type, value: Any, held: list[Any]) -> Any:
-    if isinstance(kind, Reference):
-        held.append(pack(value))
-        return held[-1].address
-    return _words(kind, value, held)
 
 
 def _refuse_other_shapes(kind: Reference, value: Any) -> None:
@@ -195,15 +183,14 @@ def _refuse_other_shapes(kind: Reference, value: Any) -> None:
 class Packed:
     """A NamedTuple as compiled code reads it, while this is held."""
 
-    __slots__ = ("__weakref__", "_held", "_numba_type_", "address", "value")
+    __slots__ = ("__weakref__", "_memory", "_numba_type_", "address", "value")
 
     def __init__(self, value: Any) -> None:
         kind = numba.typeof(value)
-        self.value, self._held = value, []
-        memory = np.zeros(1, _memory(kind))
-        memory[0] = _words(kind, value, self._held)
-        self._held.append(memory)
-        self._numba_type_, self.address = kind, memory.ctypes.data
+        self.value, self._numba_type_ = value, kind
+        self._memory = np.zeros(1, _memory(kind))
+        self._memory[0] = _words(kind, value)
+        self.address = self._memory.ctypes.data
 
 
 _PACKED: weakref.WeakValueDictionary[int, Packed] = weakref.WeakValueDictionary()

@@ -41,7 +41,7 @@ RESOLUTION = 128
 SECONDS = 0.25
 _SEED, _TRUTH_SEED = 1, 2
 # Of the truth: runs of each side, how much finer than our finest they are, and Mitsuba's samples a pixel.
-_TRUTH_RUNS, _FINER, _TRUTH_SPP = 4, 4, 64
+_TRUTH_RUNS, _FINER, _TRUTH_SPP = 4, 2, 64
 # A setting that takes so many times the best at every target is not measured again: in one run, then in two.
 _REACH = 1.6, 1.2
 _ENDLESS = 2**20

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from termwise.renderer.by_reference import by_reference
+from termwise.renderer.by_reference import by_reference, pack
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.vector import Vec3
 
@@ -146,6 +146,34 @@ def test_another_inner_shape_is_refused(name, shape):
     with pytest.raises(ValueError, match=re.escape(f"_Known.{name}: the shape allowed is {allowed}")):
         _sum(known, 0, out)
     assert not out.any()
+
+
+def test_what_is_packed_is_found_again_while_it_is_held():
+    """By the tuple itself: an equal one is another, and what nobody holds is laid out anew."""
+    given = outer()
+    held = pack(given)
+    assert pack(given) is held
+    assert pack(given._replace()) is not held
+    assert held.value is given
+    end = weakref.ref(held)
+    del held
+    gc.collect()
+    assert end() is None
+    assert pack(7) == 7
+
+
+def test_a_tuple_that_is_laid_out_otherwise_is_refused():
+    """A tuple that has one of these in it and is none itself: compiled code has its address there."""
+
+    class _Around(NamedTuple):
+        inner: _Inner
+
+    @by_reference()
+    class _Wrong(NamedTuple):
+        around: _Around
+
+    with pytest.raises(AssertionError, match="bytes"):
+        pack(_Wrong(_Around(outer().inner)))
 
 
 def test_what_arrays_hold_is_read_anew():
