@@ -150,8 +150,10 @@ def _deviation(corners: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 def least(corners: np.ndarray, wanted: np.ndarray) -> int:
     """Up to how many samples all pixels get the same, by the image at the corners of a coarse one; see `contrast`."""
     deviation = _deviation(corners, wanted)
-    total, squares = deviation.sum(), np.square(deviation).sum()
-    return LEAST_FEW if total * total < _FEW * np.count_nonzero(wanted) * squares else LEAST_MANY
+    # What is beyond all numbers is in no few pixels.
+    with np.errstate(over="ignore", invalid="ignore"):
+        few = np.sum(deviation) ** 2 < _FEW * np.count_nonzero(wanted) * np.sum(deviation**2)
+    return LEAST_FEW if few else LEAST_MANY
 
 
 def contrast(corners: np.ndarray, wanted: np.ndarray) -> Contrast | None:

@@ -51,8 +51,8 @@ from termwise.scenes.model import Scene
 from termwise.scenes.terms import TABLE, TERMS, Term
 
 TILE = 32
-# A call of a kernel costs 25 to 60 µs, mostly Python's, which threads do not share: of little work each thread takes
-# all that it is dealt in one. Of much work a call takes so many samples: who calls it off does not wait long.
+# Calls of a kernel are begun by Python, one thread at a time: of little work each thread takes all that it is dealt in
+# one. Of much work a call takes so many samples, about: who calls it off does not wait long.
 _MOST_CALLS, _SAMPLES_A_CALL = 8, 2**16
 # Small images get smaller tiles, so many a thread at least that none waits long for the others.
 _TILES_A_THREAD, _SMALLEST = 16, 4

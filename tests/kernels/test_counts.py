@@ -107,6 +107,7 @@ def test_without_contrast_counts_are_even(value):
     corners = np.full((4, 5, 3), value)
     corners[0, 0] *= 1.0 if value < 1.0 else 2.0
     assert contrast(corners, np.ones((3, 4), bool)) is None
+    assert least(corners, np.ones((3, 4), bool)) == LEAST_MANY
 
 
 def test_fewer_samples_are_even_where_few_pixels_hold_the_noise():
