@@ -172,12 +172,14 @@ def _words(kind: types.Type, value: Any) -> Any:
 
 
 def _refuse_other_shapes(kind: Reference, value: Any) -> None:
-    """Raise where an array is not as its class says."""
+    """Raise where an array is not as its class says: kernels know how far apart its rows lie."""
     for name, inner in _INNER[kind.cls].items():
         array = getattr(value, name)
         if array is not None and array.shape[1:] != inner:
             allowed = ", ".join(map(str, ("N", *inner)))
             raise ValueError(f"{kind.cls.__name__}.{name}: the shape allowed is ({allowed})")
+        if array is not None and not array.flags.c_contiguous:
+            raise ValueError(f"{kind.cls.__name__}.{name}: strides = {array.strides}: allowed are rows without gaps")
 
 
 class Packed:
@@ -203,7 +205,7 @@ def pack(value: Any) -> Any:
 
     Raises
     ------
-    ValueError : an array of another shape than its class says.
+    ValueError : an array of another shape than its class says, or of one that it says with gaps between its rows.
     """
     if type(value) not in _INNER or cast(Any, config).DISABLE_JIT:
         return value

@@ -176,6 +176,13 @@ def test_a_tuple_that_is_laid_out_otherwise_is_refused():
         pack(_Wrong(_Around(outer().inner)))
 
 
+def test_gaps_between_rows_are_refused():
+    """Every second row has the shape that is allowed, and lies where none would be looked for."""
+    known = _Known(np.zeros((10, 3))[::2], np.zeros((4, 3, 2)))
+    with pytest.raises(ValueError, match=re.escape("_Known.rows: strides = (48, 8): allowed are rows without gaps")):
+        _sum(known, 0, np.zeros(3))
+
+
 def test_what_arrays_hold_is_read_anew():
     """Fields stay, their arrays' content does not: 1, 2, 4 doubled five times, the first summed up after each."""
     given = outer()
