@@ -4,8 +4,9 @@ A packet's rays have one main axis k_z. Seen along it, and from a point c beside
 `x = h_x + s_x z`, `y = h_y + s_y z`; all of them lie between the planes `x = min o_x + min s_x z` and
 `x = max o_x + max s_x z`, and so in y. One test of these planes passes 8 boxes of a node by, or 8 triangles of a leaf;
 each box that it leaves is tested against 16 rays at a time, and goes onto the stack with those that it may hold. So is
-each triangle, and what a ray may hit in float32 is tested in float64, by the expressions of `intersect_triangle`: faces
-and distances have the bits of single rays, in whatever company they come.
+each triangle, and what a ray may hit in float32 is tested in float64, by the expressions of `intersect_triangle`; where
+few rays come to a leaf, each is tested so against all of its triangles. Faces and distances have the bits of single
+rays, in whatever company they come.
 
 Planes and boxes are padded by `2^-20 R`, R being the largest coordinate distance between the origins and the scene: 16
 roundings of the largest number of a test. A corner of a triangle is `a_x - h_x - s_x a_z` as a ray sees it. With
@@ -44,6 +45,7 @@ from termwise.renderer.geometry.simd import (
     store,
     widen,
 )
+from termwise.renderer.geometry.streams import fetch_leaf, fetch_node, leaf_of_ray, put_nearest
 from termwise.renderer.geometry.wave import SIZE, Wave
 from termwise.renderer.jit import device
 from termwise.renderer.vector import entry
@@ -51,6 +53,8 @@ from termwise.renderer.vector import entry
 MOST_BACKOFF = 256  # see `wave.BACKOFF`
 # A packet gives up where, after so many nodes and leaves, fewer rays than so many share one: then a stream is faster.
 _SOON, _COMPANY = 64, 6
+# Up to so many rays meet a leaf one by one, each all of its triangles.
+_FEW = 4
 _LANES = 16
 _ALL = (1 << _LANES) - 1
 _UNIT = 2.0**-24
@@ -145,8 +149,17 @@ def _make_packet(wide: Bvh8, wave: Wave, left: int, count: int, far: float) -> P
         if bits(main) != 255:
             continue
         rays |= 255 << k
-        inverse = splat(1.0, 8) / dz
-        sx, sy = dx * inverse, dy * inverse
+        # As `make_ray` has them, for `_meet`.
+        sx, sy = dx / dz, dy / dz
+        store(wave.shears, k, ox)
+        store(wave.shears, SIZE + k, oy)
+        store(wave.shears, 2 * SIZE + k, oz)
+        store(wave.shears, 3 * SIZE + k, sx)
+        store(wave.shears, 4 * SIZE + k, sy)
+        store(wave.shears, 5 * SIZE + k, splat(1.0, 8) / dz)
+        store(wave.axes, 3 * SIZE + k, splat(np.int32(kx), 8))
+        store(wave.axes, 4 * SIZE + k, splat(np.int32(ky), 8))
+        store(wave.axes, 5 * SIZE + k, splat(np.int32(kz), 8))
         aside = oz - splat(z, 8)
         store(wave.scaled, _H_X + k, narrow(ox - splat(x, 8) - sx * aside))
         store(wave.scaled, _H_Y + k, narrow(oy - splat(y, 8) - sy * aside))
@@ -282,7 +295,12 @@ def _enter_node(
         if inside != 0:
             distance = wave.scaled[0, _AT_HAND + 48 + lane]
             wave.keys[size] = distance
-            stack[size] = load_int(wide.nodes, node * NODE + LINKS + lane)
+            link = load_int(wide.nodes, node * NODE + LINKS + lane)
+            if link < 0:
+                fetch_leaf(wide.leaves, -1 - link)
+            else:
+                fetch_node(wide.nodes, link)
+            stack[size] = link
             wave.masks[size] = inside
             if distance < nearest:
                 nearest, last = distance, size
@@ -368,23 +386,6 @@ def _may_hit(wave: Wave, lane: int, rays: int) -> int:
 
 
 @device
-def _may_be_hit(wave: Wave, ray: int) -> int:
-    """Which triangles of the leaf at hand a ray may hit, as bits."""
-    s, i = wave.scaled, _AT_HAND
-    return _inside(
-        (load(s, i, 8), load(s, i + 8, 8), load(s, i + 16, 8)),
-        (load(s, i + 24, 8), load(s, i + 32, 8), load(s, i + 40, 8)),
-        (load(s, i + 48, 8), load(s, i + 56, 8), load(s, i + 64, 8)),
-        splat(s[0, _H_X + ray], 8),
-        splat(s[0, _H_Y + ray], 8),
-        splat(s[0, _S_X + ray], 8),
-        splat(s[0, _S_Y + ray], 8),
-        load(s, i + 72, 8),
-        splat(np.float32(0.0), 8),
-    )
-
-
-@device
 def _corner(leaves: np.ndarray, start: int, p: Packet) -> tuple:
     return (
         splat(np.float64(leaves[start + p.kx]), 8),
@@ -396,11 +397,10 @@ def _corner(leaves: np.ndarray, start: int, p: Packet) -> tuple:
 @device
 def _meet(leaves: np.ndarray, leaf: int, lane: int, p: Packet, wave: Wave, k: int, far: float, hides: bool) -> bool:
     """A triangle for rays k ... k + 7, to the last bit: whether it changes anything, which is written to the wave."""
-    kx, ky, kz = p.kx // 8 * SIZE + k, p.ky // 8 * SIZE + k, p.kz // 8 * SIZE + k
-    along = load(wave.directions, kz, 8)
+    r = wave.shears
     s = Shear(
-        (load(wave.origins, kx, 8), load(wave.origins, ky, 8), load(wave.origins, kz, 8)),
-        (load(wave.directions, kx, 8) / along, load(wave.directions, ky, 8) / along, splat(1.0, 8) / along),
+        (load(r, k, 8), load(r, SIZE + k, 8), load(r, 2 * SIZE + k, 8)),
+        (load(r, 3 * SIZE + k, 8), load(r, 4 * SIZE + k, 8), load(r, 5 * SIZE + k, 8)),
         p.kx,
         p.ky,
         p.kz,
@@ -417,13 +417,29 @@ def _meet(leaves: np.ndarray, leaf: int, lane: int, p: Packet, wave: Wave, k: in
         reach = splat(np.float32(-1.0), 8)
     else:
         met = met & (t <= best) & ((t < best) | (face < splat(np.int32(0), 8)) | (this < face))
-        reach = narrow(t * magnitude(along) * splat(ROUND_UP, 8))
+        reach = narrow(t * magnitude(load(wave.directions, p.kz * (SIZE // 8) + k, 8)) * splat(ROUND_UP, 8))
         store(wave.t, k, choose(met, t, best))
         store(wave.face, k, choose(met, this, face))
         store(wave.b1, k, choose(met, hit.v * scale, load(wave.b1, k, 8)))
         store(wave.b2, k, choose(met, hit.w * scale, load(wave.b2, k, 8)))
     store(wave.scaled, _REACH + k, choose(met, reach, load(wave.scaled, _REACH + k, 8)))
     return bits(met) != 0
+
+
+@device
+def _meet_leaf(wide: Bvh8, leaf: int, p: Packet, wave: Wave, r: int, far: float, hides: bool) -> bool:
+    """A leaf's triangles for ray r, to the last bit: whether one changes anything, which is written to the wave."""
+    hit, scale, t, faces, met = leaf_of_ray(wide, wave, r, leaf)
+    if hides:
+        if bits(met & (t < splat(far, 8)) & (faces != splat(wave.target[r], 8))) == 0:
+            return False
+        wave.scaled[0, _REACH + r] = np.float32(-1.0)
+        return True
+    if not put_nearest(wave, r, hit, scale, t, faces, met):
+        return False
+    reach = wave.t[r] * abs(wave.directions[p.kz // 8, r]) * ROUND_UP
+    wave.scaled[0, _REACH + r] = np.float32(reach)
+    return True
 
 
 @device
@@ -458,18 +474,14 @@ def _descend(wide: Bvh8, p: Packet, wave: Wave, far: float, hides: bool, stack: 
             size = _enter_node(wide, p, wave, node, rays, reach, stack, size)
         else:
             leaf = -1 - node
-            lanes = _cut_triangles(wave, wide.leaves, leaf, p, reach)
             changed = False
-            if 4 * count_bits(rays) <= 3 * count_bits(lanes):
+            if count_bits(rays) <= _FEW:
                 while rays != 0:
                     ray = lowest_bit(rays)
                     rays &= rays - 1
-                    may = _may_be_hit(wave, ray) & lanes
-                    while may != 0:
-                        lane = lowest_bit(may)
-                        may &= may - 1
-                        changed |= _meet(wide.leaves, leaf, lane, p, wave, ray & 56, far, hides)
+                    changed |= _meet_leaf(wide, leaf, p, wave, ray, far, hides)
             else:
+                lanes = _cut_triangles(wave, wide.leaves, leaf, p, reach)
                 while lanes != 0:
                     lane = lowest_bit(lanes)
                     lanes &= lanes - 1

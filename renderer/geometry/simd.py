@@ -255,14 +255,14 @@ def copy(typingctx: Any, to: Any, array: Any) -> Any:
 
 @intrinsic
 def columns(typingctx: Any, array: Any, first: Any) -> Any:
-    """Rows first ... first + 7 of a C-contiguous (N, 3) array as three vectors, one a column."""
+    """Rows first ... first + 7 of a C-contiguous (N, 3) array as three vectors of float64, one a column."""
     if not (isinstance(array, types.Array) and array.layout == "C" and array.ndim == 2):
         return None
-    vector = Vector(array.dtype, 8)
+    vector = Vector(types.float64, 8)
     three = types.UniTuple(vector, 3)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = context.get_value_type(vector)
+        kind = context.get_value_type(Vector(array.dtype, 8))
         start = builder.mul(args[1], ir.Constant(args[1].type, 3))
         place = builder.gep(_data(context, builder, sig, args), [start], inbounds=True)
         place = builder.bitcast(place, kind.as_pointer())
@@ -278,6 +278,8 @@ def columns(typingctx: Any, array: Any, first: Any) -> Any:
             places = range(column, 24, 3)
             begin = chosen(parts[0], parts[1], (place % 16 for place in places))
             found.append(chosen(begin, parts[2], (i if place < 16 else place - 8 for i, place in enumerate(places))))
+        if array.dtype == types.float32:
+            found = [builder.fpext(each, context.get_value_type(vector)) for each in found]
         return context.make_tuple(builder, three, found)
 
     return three(array, types.intp), codegen

@@ -20,6 +20,7 @@ from termwise.renderer.geometry.bvh8_traverse import (
     PAD,
     ROUND_UP,
     Shear,
+    Triangles,
     distances,
     triangles_of,
 )
@@ -161,7 +162,7 @@ def _shear(wave: Wave, r: int) -> Shear:
 
 
 @device
-def _leaf(wide: Bvh8, wave: Wave, r: int, leaf: int) -> tuple:
+def leaf_of_ray(wide: Bvh8, wave: Wave, r: int, leaf: int) -> tuple:
     """Ray r against a leaf's triangles: what it meets of them, 1 / det, distances, faces, and which it may hit."""
     shear = _shear(wave, r)
     hit = triangles_of(wide.leaves, leaf, shear)
@@ -173,13 +174,15 @@ def _leaf(wide: Bvh8, wave: Wave, r: int, leaf: int) -> tuple:
 
 
 @device
-def _fetch_node(nodes: np.ndarray, node: int) -> None:
+def fetch_node(nodes: np.ndarray, node: int) -> None:
+    """Fetch a node into the cache."""
     for line in range(0, NODE, 16):
         prefetch(nodes, node * NODE + line)
 
 
 @device
-def _fetch_leaf(leaves: np.ndarray, leaf: int) -> None:
+def fetch_leaf(leaves: np.ndarray, leaf: int) -> None:
+    """Fetch a leaf into the cache."""
     for line in range(0, LEAF, 64 // leaves.itemsize):
         prefetch(leaves, leaf * LEAF + line)
 
@@ -208,7 +211,7 @@ def any_hits_of_stream(wide: Bvh8, wave: Wave, rays: int, far: float, stack: np.
             store(stack, _TAKEN_NODES + k, load(stack, _MOST_PAIRS + size + k, 8))
         for k in range(taken):
             r, start = entry(stack, _TAKEN_RAYS + k), entry(stack, _TAKEN_NODES + k) * NODE
-            _fetch_node(wide.nodes, entry(stack, _TAKEN_NODES + min(k + _AHEAD, taken - 1)))
+            fetch_node(wide.nodes, entry(stack, _TAKEN_NODES + min(k + _AHEAD, taken - 1)))
             if wave.found[r]:
                 continue
             enter, leave = _slabs(wide.nodes, start, wave, r)
@@ -231,10 +234,10 @@ def any_hits_of_stream(wide: Bvh8, wave: Wave, rays: int, far: float, stack: np.
 def _test_leaves(wide: Bvh8, wave: Wave, waiting: int, far: float, stack: np.ndarray) -> None:
     for k in range(waiting):
         r, leaf = entry(stack, _LEAF_RAYS + k), -1 - entry(stack, _LEAF_NODES + k)
-        _fetch_leaf(wide.leaves, -1 - entry(stack, _LEAF_NODES + min(k + _AHEAD, waiting - 1)))
+        fetch_leaf(wide.leaves, -1 - entry(stack, _LEAF_NODES + min(k + _AHEAD, waiting - 1)))
         if wave.found[r]:
             continue
-        _, _, t, faces, met = _leaf(wide, wave, r, leaf)
+        _, _, t, faces, met = leaf_of_ray(wide, wave, r, leaf)
         wave.found[r] = bits(met & (t < splat(far, 8)) & (faces != splat(wave.target[r], 8))) != 0
 
 
@@ -282,7 +285,9 @@ def closest_hits_of_stream(wide: Bvh8, wave: Wave, rays: int, far: float, stack:
             going_back += 1 - here
         for k in range(at_leaves):
             r = entry(stack, leaves + k)
-            _test_leaf(wide, wave, r, -1 - entry(stack, _NODE + r))
+            hit, scale, t, faces, met = leaf_of_ray(wide, wave, r, -1 - entry(stack, _NODE + r))
+            if put_nearest(wave, r, hit, scale, t, faces, met):
+                wave.scaled[9, r] = np.float32(wave.t[r] * wave.shears[6, r])
             stack[back + going_back] = r
             going_back += 1
         at_leaves = 0
@@ -306,22 +311,24 @@ def closest_hits_of_stream(wide: Bvh8, wave: Wave, rays: int, far: float, stack:
         back, next_back = next_back, back
         at_nodes, going_back = staying, left
         for k in range(at_nodes):
-            _fetch_node(wide.nodes, entry(stack, _NODE + entry(stack, nodes + k)))
+            fetch_node(wide.nodes, entry(stack, _NODE + entry(stack, nodes + k)))
         for k in range(at_leaves):
-            _fetch_leaf(wide.leaves, -1 - entry(stack, _NODE + entry(stack, leaves + k)))
+            fetch_leaf(wide.leaves, -1 - entry(stack, _NODE + entry(stack, leaves + k)))
 
 
 @device
-def _test_leaf(wide: Bvh8, wave: Wave, r: int, leaf: int) -> None:
-    hit, scale, t, faces, met = _leaf(wide, wave, r, leaf)
+def put_nearest(wave: Wave, r: int, hit: Triangles, scale: int, t: int, faces: int, met: int) -> bool:
+    """Write the nearest of what ray r may hit of a leaf; whether any is nearer than what it had."""
+    nearer = False
     lanes = bits(met & (t <= splat(wave.t[r], 8)))
     while lanes != 0:
         lane = lowest_bit(lanes)
         lanes &= lanes - 1
         distance, face = extract(t, lane), extract(faces, lane)
         if distance < wave.t[r] or (distance == wave.t[r] and (wave.face[r] < 0 or face < wave.face[r])):
+            nearer = True
             wave.t[r] = distance
             wave.face[r] = face
             wave.b1[r] = extract(hit.v, lane) * extract(scale, lane)
             wave.b2[r] = extract(hit.w, lane) * extract(scale, lane)
-            wave.scaled[9, r] = np.float32(distance * wave.shears[6, r])
+    return nearer

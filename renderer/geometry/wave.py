@@ -30,7 +30,8 @@ class Wave(NamedTuple):
     scaled : (10, 64) float32 scratch: origins, directions, moments and far ends in the coordinates of `polygons`, what
         the boxes of `streams` ask, or the lines of `packets`, with the boxes or triangles at hand.
     candidates : (64,) int32 scratch.
-    shears, axes : (7, 64) float64 and (6, 64) int32 scratch of `streams`; of `polygons` the first row of the shears.
+    shears, axes : (7, 64) float64 and (6, 64) int32 scratch of `streams`; of the shears the first row of `polygons`,
+        and three of `packets`.
     backoff : (2, 2) int64, for nearest and for any hits: how many packets more go with the stream at once, and how
         many after the next packet that does not pay.
     keys, masks : (DEEPEST,) float32 and int64 scratch of `packets`: how far the nodes on the stack are, and which rays

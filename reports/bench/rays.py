@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from termwise.renderer.by_reference import Packed, pack
 from termwise.renderer.geometry import bvh
 from termwise.renderer.geometry.rays import any_hits, closest_hits
-from termwise.renderer.geometry.wave import Wave, new_wave
+from termwise.renderer.geometry.wave import new_wave
 from termwise.reports.bench.common import BACKEND, known, machine, positive, timed
 from termwise.scenes.load import load
 
@@ -26,6 +27,8 @@ PAIRS = 7
 RAYS = 2**19
 # Rays of one occlusion origin.
 _FAN = 64
+# Pixels along the edge of a block whose camera rays follow each other.
+_BLOCK = 8
 # Seconds of a side's part of a pair: a shorter one runs at once on all cores where a longer one shares them.
 _SHORTEST = 0.2
 # Rays that a thread takes at a time.
@@ -33,7 +36,7 @@ _CHUNK = 2**15
 
 
 class Rays(NamedTuple):
-    """Float32 numbers in float64 arrays (N, 3): both sides trace the same rays; `far` in lengths of direction.
+    """Arrays (N, 3) of float32, as both sides read them; `far` in lengths of direction.
 
     `coherent`: those that follow each other go the same way, as our kernels say of such rays.
     """
@@ -108,7 +111,7 @@ def _displace(vertices: np.ndarray, normals: np.ndarray, height: float) -> np.nd
 
 
 def _round(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values.astype(np.float32), np.float64)
+    return values.astype(np.float32).astype(np.float64)
 
 
 def prepare(corners: np.ndarray) -> Prepared:
@@ -119,7 +122,9 @@ def prepare(corners: np.ndarray) -> Prepared:
 
 
 def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
-    """About `count` rays: through a camera's pixels, or leaving the points that those see.
+    """About `count` rays: through a camera's pixels in blocks of 8 x 8, or leaving the points that those see.
+
+    Both sides trace blocks in less time than rows of pixels (0.5 to 0.9 of it ours, 0.7 to 1 Mitsuba's).
 
     diffuse: cosine directions; shadow: to points of a square light; ao: `_FAN` cosine directions from one point,
     as far as half of the mesh's extent. Points are lifted by 1e-4 of the extent, so that neither side meets the face
@@ -129,16 +134,19 @@ def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
     low, high = mesh.corners.min(axis=(0, 1)), mesh.corners.max(axis=(0, 1))
     centre, extent = (low + high) / 2, float((high - low).max())
     eye = centre + extent * np.array([0.5, -1.2, 0.7])
-    side = int(np.sqrt(count))
-    x, y = (np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) / side - 0.5).T
+    side = -(-int(np.sqrt(count)) // _BLOCK) * _BLOCK
+    row, block_row, column, block_column = np.indices((side // _BLOCK, _BLOCK) * 2)
+    order = (0, 2, 1, 3)
+    x = (_BLOCK * column + block_column).transpose(order).ravel() / side - 0.5
+    y = (_BLOCK * row + block_row).transpose(order).ravel() / side - 0.5
     forward = (centre - eye) / np.linalg.norm(centre - eye)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     directions = forward + 0.75 * (x[:, None] * right - y[:, None] * up)
     primary = Rays(
-        _round(np.broadcast_to(eye, directions.shape)),
-        _round(directions / np.linalg.norm(directions, axis=1, keepdims=True)),
+        np.full(directions.shape, eye, np.float32),
+        (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32),
         np.inf,
         coherent=True,
     )
@@ -161,12 +169,13 @@ def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
     if kind == "shadow":
         light = centre + extent * np.array([0.6, -0.4, 1.5])
         light = light + extent * 0.4 * np.c_[rng.uniform(-0.5, 0.5, (len(hit), 2)), np.zeros(len(hit))]
-        return Rays(_round(points), _round(light - points), 1.0, coherent=True)
+        return Rays(points.astype(np.float32), (light - points).astype(np.float32), 1.0, coherent=True)
     # A point of the unit sphere added to the normal is cosine-weighted.
     sphere = rng.normal(size=points.shape)
     cosine = normals + sphere / np.linalg.norm(sphere, axis=1, keepdims=True)
     cosine /= np.linalg.norm(cosine, axis=1, keepdims=True)
-    return Rays(_round(points), _round(cosine), 0.5 * extent if kind == "ao" else np.inf, coherent=False)
+    far = 0.5 * extent if kind == "ao" else np.inf
+    return Rays(points.astype(np.float32), cosine.astype(np.float32), far, coherent=False)
 
 
 def is_any(kind: str) -> bool:
@@ -184,14 +193,15 @@ class Ours:
         self.found = np.empty(count, np.bool_)
         self._trace = self._any if any_hit else self._closest
         # A thread that renders has its wave before it traces, and to make one takes as long as some 10 thousand rays.
-        self._chunks = [(slice(i, i + _CHUNK), new_wave()) for i in range(0, count, _CHUNK)]
+        self._tree = pack(mesh.tree)
+        self._chunks = [(slice(i, i + _CHUNK), pack(new_wave())) for i in range(0, count, _CHUNK)]
 
-    def _closest(self, chunk: tuple[slice, Wave]) -> None:
+    def _closest(self, chunk: tuple[slice, Packed]) -> None:
         mesh, rays = self.mesh, self.rays
         part, wave = chunk
         closest_hits(
             mesh.corners,
-            mesh.tree,
+            self._tree,
             rays.origins[part],
             rays.directions[part],
             rays.far,
@@ -201,12 +211,12 @@ class Ours:
             rays.coherent,
         )
 
-    def _any(self, chunk: tuple[slice, Wave]) -> None:
+    def _any(self, chunk: tuple[slice, Packed]) -> None:
         mesh, rays = self.mesh, self.rays
         part, wave = chunk
         any_hits(
             mesh.corners,
-            mesh.tree,
+            self._tree,
             rays.origins[part],
             rays.directions[part],
             rays.far,
@@ -260,12 +270,7 @@ class Case:
         self.dr: Any = dr
         self.scene, self.any_hit = side.scene, any_hit
         far = mi.Float(rays.far) if np.isfinite(rays.far) else mi.Float(3.4e38)
-        self.ray = mi.Ray3f(
-            mi.Point3f(rays.origins.astype(np.float32).T.copy()),
-            mi.Vector3f(rays.directions.astype(np.float32).T.copy()),
-            0.0,
-            [],
-        )
+        self.ray = mi.Ray3f(mi.Point3f(rays.origins.T.copy()), mi.Vector3f(rays.directions.T.copy()), 0.0, [])
         self.ray.maxt = far
         dr.eval(self.ray)
         self.coherent = False
