@@ -124,7 +124,7 @@ def prepare(corners: np.ndarray) -> Prepared:
 def rays_of(kind: str, mesh: Prepared, count: int) -> Rays:
     """About `count` rays: through a camera's pixels in blocks of 8 x 8, or leaving the points that those see.
 
-    Both sides trace blocks in less time than rows of pixels (0.5 to 0.9 of it ours, 0.7 to 1 Mitsuba's).
+    Both sides trace blocks in less time than rows of pixels (0.6 to 1 of it ours, 0.7 to 1.1 Mitsuba's).
 
     diffuse: cosine directions; shadow: to points of a square light; ao: `_FAN` cosine directions from one point,
     as far as half of the mesh's extent. Points are lifted by 1e-4 of the extent, so that neither side meets the face
