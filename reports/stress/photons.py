@@ -220,7 +220,7 @@ def tracing(count: int) -> Iterator[Row]:
         # the root of the albedo; 5 of them are allowed to the mean of all photons. They share one low-discrepancy
         # sequence, which brings it to 0.32 to 0.72 of that (200 seeds). Black walls keep no photon: 0 is left out.
         def flux(albedo: float = albedo) -> float:
-            power = _emitted(closed_box(albedo=albedo), count, 1).power[:, 0].sum()
+            power = _emitted(closed_box(albedo=albedo), count, 1).power[0].sum()
             return _off(float(power), 4.0 * math.pi / (1.0 - albedo))
 
         limit = 5.0 * math.sqrt(albedo / count) + 1e-12

@@ -160,17 +160,17 @@ class _Samples(Engine):
     """
 
     def __init__(self, scene: Scene, tree: Tree) -> None:
-        super().__init__(scene, threads=1)
+        # As many samples a pixel, however the scene is perturbed.
+        super().__init__(scene, threads=1, without=("counts",))
         self.arrays = self.arrays._replace(geometry=self.arrays.geometry._replace(tree=tree))
         self.images: list[np.ndarray] | None = None
 
-    def _run(self, variant, inputs, key, work, out, seen, cancel):
-        super()._run(variant, inputs, key, work, out, seen, cancel)
+    def _add(self, driver, inputs, key, items, begin, end, out, cancel):
+        super()._add(driver, inputs, key, items, begin, end, out, cancel)
         if self.images is not None:
-            for index in range(work[0, 4], work[0, 5]):
-                alone, one = np.zeros_like(out), work.copy()
-                one[:, 4], one[:, 5] = index, index + 1
-                super()._run(variant, inputs, key, one, alone, seen, cancel)
+            for index in range(begin.min(), end.max()):
+                alone, first, last = np.zeros_like(out), np.clip(index, begin, end), np.clip(index + 1, begin, end)
+                super()._add(driver, inputs, key, items, first, last, alone, cancel)
                 self.images.append(alone)
 
 
