@@ -209,6 +209,12 @@ def accumulate(out: np.ndarray, y: int, x: int, radiance: Vec3) -> None:
 
 
 @device
+def added(total: Vec3, radiance: Vec3) -> Vec3:
+    """A pixel's sum with a sample more, where it is not written for each."""
+    return add(total, radiance)
+
+
+@device
 def accumulate_hits(out: np.ndarray, count: int, scratch: Scratch) -> None:
     """Add `scratch.radiance` of the first `count` primary hits to their pixels, one by one and in this order."""
     if count > 0:
@@ -219,7 +225,7 @@ def accumulate_hits(out: np.ndarray, count: int, scratch: Scratch) -> None:
                 put(out[y], x, total)
                 y, x = scratch.y[i], scratch.x[i]
                 total = vec3(out[y], x)
-            total = add(total, column(scratch.radiance, i))
+            total = added(total, column(scratch.radiance, i))
         put(out[y], x, total)
 
 

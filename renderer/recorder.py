@@ -229,6 +229,10 @@ class Recorder:
         self.events[-1]["gathered"] = gathered
         self._gathered, self._mass, self._found = [], None, 0
 
+    def added(self, given: Any, total: Any, caller: FrameType) -> None:
+        """What is added to a sum of the pixel's samples."""
+        self.note("adds", radiance=given.radiance)
+
     def accumulate(self, given: Any, none: None, caller: FrameType) -> None:
         """What is added to the pixel."""
         throughput = caller.f_locals.get("throughput")
@@ -238,6 +242,7 @@ class Recorder:
 WATCHED: tuple[Callable[..., Any], ...] = (
     camera.direction_through,
     film.accumulate,
+    film.added,
     surface._surface,
     surface.shadowed,
     surface.occluded,

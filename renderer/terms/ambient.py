@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
-from termwise.renderer.film import Work, next_hits, no_hits, samples_of
+from termwise.renderer.film import Work, added, next_hits, no_hits, samples_of
 from termwise.renderer.geometry.wave import SIZE
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.material import diffuse_weight, sampled_side, sees_all_ambient, side_of, whole_color
@@ -42,20 +42,7 @@ from termwise.renderer.surface import (
 )
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
-from termwise.renderer.vector import (
-    Vec3,
-    add,
-    column,
-    frame,
-    is_black,
-    mul,
-    negate,
-    put,
-    put_column,
-    scale,
-    to_world,
-    vec3,
-)
+from termwise.renderer.vector import Vec3, column, frame, is_black, mul, negate, put, put_column, scale, to_world, vec3
 from termwise.renderer.warp import hemisphere_ring, ring_cosine, square_to_cosine_hemisphere
 from termwise.scenes.limits import Limit
 from termwise.scenes.model import Scene
@@ -232,7 +219,7 @@ def _resolve(scene: SceneArrays, waiting: int, asking: int, far: float, out: np.
             if scratch.asks[j]:
                 light = mul(radiance, _passing(scene, scene.sky_map, scene.materials.passing, k, far, scratch))
                 k += 1
-            total = add(total, light)
+            total = added(total, light)
         put(out[y], x, total)
 
 
