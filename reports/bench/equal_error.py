@@ -190,6 +190,10 @@ def _compare(cases: list[Case], *, threads: int, runs: int, seconds: float, resu
         tried = {setting: curve for setting, curve in first.items() if setting in near}
         within = {setting for pilot in pilots for setting in _within_reach(pilot, tried, truth, _REACH[1])}
         kept = [setting for setting in settings if setting in within]
+        counts = [
+            count if case.kernel_based else _far_enough(pilot, tried, truth)
+            for case, count, pilot in zip(cases, counts, pilots, strict=True)
+        ]
         images: list[list[np.ndarray]] = [[] for _ in cases]
         mine: list[list[Curve]] = [[] for _ in cases]
         points: dict[Any, list[Curve]] = {setting: [] for setting in kept}
@@ -311,12 +315,25 @@ def _joined(curves: list[Curve]) -> Curve:
     )
 
 
+def _known(curves: dict[Any, Curve], truth: Truth) -> dict[Any, tuple[list[float], list[float]]]:
+    """What pilots say of settings: (RMSE, the least seconds) of each number of samples."""
+    return {
+        setting: (list(pooled(curve.square, truth.noise)), list(curve.seconds.min(axis=0)))
+        for setting, curve in curves.items()
+    }
+
+
+def _far_enough(ours: Curve, theirs: dict[Any, Curve], truth: Truth) -> int:
+    """Samples with which ours has the least error of what may be Mitsuba's best, where it gets so far."""
+    known = list(_known(theirs, truth).values())
+    least = max(min(known[place][0]) for place in leaders(known, _REACH[1]))
+    errors = zip(ours.samples, pooled(ours.square, truth.noise), strict=True)
+    return next((samples for samples, error in errors if error <= least), ours.samples[-1])
+
+
 def _within_reach(ours: Curve, theirs: dict[Any, Curve], truth: Truth, reach: float) -> list[Any]:
     """Settings that were found to take at most `reach` times as long as Mitsuba's best at one target at least."""
-    known = {
-        setting: (list(pooled(curve.square, truth.noise)), list(curve.seconds.min(axis=0)))
-        for setting, curve in theirs.items()
-    }
+    known = _known(theirs, truth)
     kept = []
     for target in _targets(list(pooled(ours.square, truth.noise)), list(known.values())):
         times = {setting: seconds_to(target, *curve) for setting, curve in known.items()}
