@@ -9,7 +9,7 @@ stands beside it. Mitsuba is told that rays are coherent where that makes it fas
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -184,10 +184,10 @@ def is_any(kind: str) -> bool:
 
 
 class Ours:
-    """Our side of a case: `run()` traces all rays on `threads` threads."""
+    """Our side of a case: `run()` traces all rays on `threads` threads, those of `pool`."""
 
-    def __init__(self, mesh: Prepared, rays: Rays, *, any_hit: bool, pool: ThreadPoolExecutor) -> None:
-        self.mesh, self.rays, self.pool = mesh, rays, pool
+    def __init__(self, mesh: Prepared, rays: Rays, *, any_hit: bool, pool: ThreadPoolExecutor, threads: int) -> None:
+        self.mesh, self.rays, self.pool, self.threads = mesh, rays, pool, threads
         count = len(rays.origins)
         self.t, self.face = np.empty(count), np.empty(count, np.int32)
         self.found = np.empty(count, np.bool_)
@@ -226,9 +226,18 @@ class Ours:
         )
 
     def run(self) -> None:
-        """Trace all rays once."""
-        for _ in self.pool.map(self._trace, self._chunks):
-            pass
+        """Trace all rays once.
+
+        A thread that is done takes the next chunk, as those that render take tiles. Handed to the pool one by one
+        chunks of few polygons took 1.15 and 1.4 times as long.
+        """
+        chunks = iter(self._chunks)
+        for taker in [self.pool.submit(self._take, chunks) for _ in range(self.threads)]:
+            taker.result()
+
+    def _take(self, chunks: Iterator[tuple[slice, Packed]]) -> None:
+        for chunk in chunks:
+            self._trace(chunk)
 
     def hits(self, *, any_hit: bool) -> np.ndarray:
         """Which rays hit something."""
@@ -339,7 +348,7 @@ def measure(
             for kind in KINDS:
                 rays = rays_of(kind, mesh, count)
                 cases.append({"mesh": name, "triangles": len(mesh.corners), "kind": kind})
-                cases[-1] |= _compare(mesh, rays, sides, kind, pairs, pool)
+                cases[-1] |= _compare(mesh, rays, sides, kind, pairs, pool, threads)
     about["load_end"] = os.getloadavg()[0]
     settings = {"pairs": pairs, "count": count}
     return {"cases": cases, "builds": builds, "machine": about, "settings": settings}
@@ -356,10 +365,10 @@ def _build_row(name: str, mesh: Prepared) -> dict[str, Any]:
 
 
 def _compare(
-    mesh: Prepared, rays: Rays, sides: dict[str, Theirs], kind: str, pairs: int, pool: ThreadPoolExecutor
+    mesh: Prepared, rays: Rays, sides: dict[str, Theirs], kind: str, pairs: int, pool: ThreadPoolExecutor, threads: int
 ) -> dict[str, Any]:
     any_hit = is_any(kind)
-    mine = Ours(mesh, rays, any_hit=any_hit, pool=pool)
+    mine = Ours(mesh, rays, any_hit=any_hit, pool=pool, threads=threads)
     theirs = {flags: side.case(rays, any_hit=any_hit) for flags, side in sides.items()}
     runs = [mine.run, *(case.run for case in theirs.values())]
     times = [max(1, round(_SHORTEST / min(timed(run, 1)[0] for _ in range(3)))) for run in runs]
