@@ -39,7 +39,7 @@ class SkyArrays(NamedTuple):
 
 
 class CameraArrays(NamedTuple):
-    """Direction through film position (x, y) in [0, 1]²: corner + x across + y down, not normalised.
+    """Direction through film position (x, y), in pixels: corner + x across + y down, not normalised.
 
     `rule` is an index into PIXEL_RULES.
     """
@@ -187,8 +187,8 @@ def _camera(camera: Camera, resolution: tuple[int, int]) -> CameraArrays:
     return CameraArrays(
         Vec3(*camera.position),
         Vec3(*corner.tolist()),
-        Vec3(*across.tolist()),
-        Vec3(*down.tolist()),
+        Vec3(*(across / width).tolist()),
+        Vec3(*(down / height).tolist()),
         width,
         height,
         PIXEL_RULES.index(camera.pixel),

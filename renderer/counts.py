@@ -61,8 +61,8 @@ class Corners(NamedTuple):
 
 def corner_camera(camera: CameraArrays, columns: int, rows: int) -> CameraArrays:
     """The camera whose pixels' rays go through the corners of so many pixels of this one's image, one more a side."""
-    across = Vec3(*(each * ((columns + 1) / columns) for each in camera.across))
-    down = Vec3(*(each * ((rows + 1) / rows) for each in camera.down))
+    across = Vec3(*(each * (camera.width / columns) for each in camera.across))
+    down = Vec3(*(each * (camera.height / rows) for each in camera.down))
     return CameraArrays(camera.position, camera.corner, across, down, columns + 1, rows + 1, CORNER)
 
 

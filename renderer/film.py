@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from termwise.renderer.arrays import CameraArrays, SceneArrays
-from termwise.renderer.camera import CENTRE, JITTER, camera_ray, direction_through, point_in_pixel
+from termwise.renderer.camera import CENTRE, JITTER, camera_ray, direction_through, draw_on_film
 from termwise.renderer.dealing import deal
 from termwise.renderer.geometry.wave import SIZE, hit_of, put_hit, put_ray
 from termwise.renderer.jit import device, kernel
@@ -17,6 +17,8 @@ from termwise.renderer.vector import Vec3, add, column, length, put, put_column,
 
 # Samples of a pixel that have a camera ray each: edges need some before the rest shares.
 ALONE = 4
+# Pixels side by side that waves go down a tile by, a power of 2: 64 of one sample each are a square.
+_STRIP = 8
 
 
 class Tile(NamedTuple):
@@ -103,19 +105,27 @@ def no_hits() -> PrimaryHits:
 
 
 @device
+def _following(tile: np.ndarray, x: int, y: int) -> tuple[int, int]:
+    """The pixel after (x, y), row by row of each strip of a tile; below the tile after the last."""
+    strip = x - ((x - tile[0]) & (_STRIP - 1))
+    if x + 1 < min(strip + _STRIP, tile[2]):
+        return x + 1, y
+    if y + 1 == tile[3] and strip + _STRIP < tile[2]:
+        return strip + _STRIP, tile[1]
+    return strip, y + 1
+
+
+@device
 def _next_pixel(work: Work, tile: np.ndarray, x: int, y: int) -> tuple[int, int]:
-    """The first pixel of a tile, from (x, y) on, that takes samples; in the row below the tile where none does."""
+    """The first pixel of a tile, from (x, y) on, that takes samples; below the tile where none does."""
     while y < tile[3] and work.begin[y, x] >= work.end[y, x]:
-        x += 1
-        if x == tile[2]:
-            x = tile[0]
-            y += 1
+        x, y = _following(tile, x, y)
     return x, y
 
 
 @device
 def next_hits(scene: SceneArrays, key: np.uint64, work: Work, hits: PrimaryHits, scratch: Scratch) -> PrimaryHits:
-    """Fill `scratch.primary` with the next 64 of the work, or what is left of a tile, pixel by pixel and row by row.
+    """Fill `scratch.primary` with the next 64 of the work, or what is left of a tile, pixel by pixel of its strips.
 
     A primary hit is what one camera ray meets, for `split` samples. Rays of one pixel, or of a few side by side, go
     the same way: they make packets. Rays through one point of their pixel are one ray, traced for its first primary hit
@@ -153,10 +163,7 @@ def next_hits(scene: SceneArrays, key: np.uint64, work: Work, hits: PrimaryHits,
         count += 1
         index += 1
         if index == end:
-            x += 1
-            if x == tile[2]:
-                x = tile[0]
-                y += 1
+            x, y = _following(tile, x, y)
             x, y = _next_pixel(work, tile, x, y)
             if y < tile[3]:
                 index, end = primary_hits_of(work.begin[y, x], work.end[y, x], split)
@@ -176,8 +183,7 @@ def _look(scene: SceneArrays, work: Work, split: int, count: int, scratch: Scrat
     """Trace the first `count` primary hits."""
     primary, camera = scratch.primary, scene.camera
     # Loops of their own: what hashes and maps eight points is vectorised.
-    for i in range(count):
-        scratch.u[i], scratch.v[i] = point_in_pixel(camera, sampler_of(i, scratch))
+    draw_on_film(camera, scratch.pixel, scratch.index, count, scratch.u, scratch.v, scratch.words)
     for i in range(count):
         direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])
         put_column(primary.directions, i, direction)
@@ -191,7 +197,7 @@ def _look(scene: SceneArrays, work: Work, split: int, count: int, scratch: Scrat
             asked += 1 if _is_first(work, i, split, scratch) else 0
     if asked > 0:
         trace_wave(scene, primary, asked, True, scratch)
-    if shared:
+    if shared and asked < count:
         for i in range(count - 1, -1, -1):
             put_hit(primary, i, hit_of(primary, asked - 1) if asked > 0 else before)
             asked -= 1 if _is_first(work, i, split, scratch) else 0

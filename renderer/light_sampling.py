@@ -8,7 +8,7 @@ import numpy as np
 
 from termwise.renderer.arrays import SceneArrays
 from termwise.renderer.geometry import simd
-from termwise.renderer.geometry.simd import choose, in_lanes, load, minimum, put_rows, rows, splat, square_root, store
+from termwise.renderer.geometry.simd import choose, in_lanes, load, minimum, put_rows, rows, splat, store
 from termwise.renderer.jit import device
 from termwise.renderer.lights import BELOW_ONE, FACE, sample_light
 from termwise.renderer.material import emission
@@ -65,17 +65,16 @@ def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
     corners, faces = geometry.corners, emitters.faces
     u, v = load(samples.u, k, 8), load(samples.v, k, 8)
     zero, one = splat(0.0, 8), splat(1.0, 8)
-    picked, before, probability = splat(np.int32(0), 8), zero, one
+    picked, before = splat(np.int32(0), 8), zero
     count = len(emitters.kind)
     if count > 1:
         for index in range(1, count):
             behind = u >= splat(emitters.cdf[index], 8)
             picked = choose(behind, splat(np.int32(index), 8), picked)
             before = choose(behind, splat(emitters.cdf[index], 8), before)
-        probability = zero
     # Of few faces each in turn is put where it was picked: faster than to gather what each lane has picked.
     a = b = c = n = radiant = zero, zero, zero
-    area, face = zero, splat(np.int32(0), 8)
+    strength, stretch, face = zero, zero, splat(np.int32(0), 8)
     for index in range(count):
         mine = picked == splat(np.int32(index), 8)
         row = entry(emitters.row, index)
@@ -85,12 +84,12 @@ def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
         c = in_lanes(mine, vec3(corners[lamp], 2), c)
         n = in_lanes(mine, vec3(geometry.normals, lamp), n)
         radiant = in_lanes(mine, vec3(scene.materials.emission, entry(geometry.object, lamp)), radiant)
-        area = choose(mine, splat(faces.area[row], 8), area)
+        probability = emitters.cdf[index + 1] - emitters.cdf[index]
+        strength = choose(mine, splat(INV_PI * faces.area[row] / probability, 8), strength)
+        stretch = choose(mine, splat(1.0 / probability, 8), stretch)
         face = choose(mine, splat(np.int32(lamp), 8), face)
-        if count > 1:
-            probability = choose(mine, splat(emitters.cdf[index + 1] - emitters.cdf[index], 8), probability)
     if count > 1:
-        u = minimum((u - before) / probability, splat(BELOW_ONE, 8))
+        u = minimum((u - before) * stretch, splat(BELOW_ONE, 8))
     half = splat(0.5, 8)
     up = v > u
     # As `square_to_triangle`.
@@ -102,11 +101,9 @@ def _sample_faces(scene: SceneArrays, samples: LightSamples, k: int) -> None:
     y = b0 * a[1] + b1 * b[1] + b2 * c[1] - p[1]
     z = b0 * a[2] + b1 * b[2] + b2 * c[2] - p[2]
     cos_light = simd.negative(n[0] * x + n[1] * y + n[2] * z)
-    square = x * x + y * y + z * z
-    distance = square_root(square)
-    strength = splat(INV_PI, 8) * area * cos_light / (distance * probability)
     cos_surface = normal[0] * x + normal[1] * y + normal[2] * z
-    strength = strength * (cos_surface / (square * distance))
+    near = one / (x * x + y * y + z * z)
+    strength = strength * ((cos_light * near) * (cos_surface * near))
     lit = (cos_light > zero) & (cos_surface > zero)
     strength = choose(lit, strength, zero)
     put_rows(samples.way, k, (x, y, z))

@@ -249,8 +249,8 @@ def _depart(
         count = min(SIZE, last - begin)
         for k in range(count):
             _put_sampler(k, _sampler(rule, key, begin + k), scratch)
-        draw_2d(scratch.key, scratch.sample, count, _PLACE, place.u, place.v)
-        draw_2d(scratch.key, scratch.sample, count, _WAY, way.u, way.v)
+        draw_2d(scratch.key, scratch.sample, count, _PLACE, place.u, place.v, scratch.words)
+        draw_2d(scratch.key, scratch.sample, count, _WAY, way.u, way.v, scratch.words)
         for k in range(count):
             origin, heading, flux, face = emit_photon(scene, rule.aimed, (place.u[k], place.v[k]), (way.u[k], way.v[k]))
             if not is_black(flux):
@@ -308,8 +308,8 @@ def _trace_photons(
                 _fly(scene, flight, begin, count, scratch)
                 for k in range(count):
                     _put_sampler(k, _sampler(rule, fold(key, vertex), flight.index[begin + k]), scratch)
-                draw_2d(scratch.key, scratch.sample, count, _ROULETTE, roulette.u, roulette.v)
-                draw_2d(scratch.key, scratch.sample, count, _DIRECTION, scratch.u, scratch.v)
+                draw_2d(scratch.key, scratch.sample, count, _ROULETTE, roulette.u, roulette.v, scratch.words)
+                draw_2d(scratch.key, scratch.sample, count, _DIRECTION, scratch.u, scratch.v, scratch.words)
                 for k in range(count):
                     surface = surface_of(scene, scratch.rays, k)
                     if surface.face < 0:

@@ -52,7 +52,7 @@ def _new_light_samples() -> LightSamples:
     return LightSamples(*map(on_own_lines, arrays))
 
 
-@by_reference(radiance=(SIZE,), weight=(SIZE,), front=(SIZE,), lanes=(8,))
+@by_reference(radiance=(SIZE,), weight=(SIZE,), front=(SIZE,), words=(SIZE,), lanes=(8,))
 class Scratch(NamedTuple):
     """Memory of one thread.
 
@@ -72,6 +72,7 @@ class Scratch(NamedTuple):
         where it begins, or the share of the side that a light sample is of.
     key, sample : (64,) uint64 and uint32, the randomness of each occlusion ray.
     u, v : (64,) float64 each, points of the unit square: of the camera rays, then of what leaves their hits.
+    words : (4, 64) uint32 scratch of `draw_2d`.
     samples : points that ask for light.
     lanes : (4, 8) float64 scratch of `photon_density`.
     """
@@ -98,6 +99,7 @@ class Scratch(NamedTuple):
     sample: np.ndarray
     u: np.ndarray
     v: np.ndarray
+    words: np.ndarray
     samples: LightSamples
     lanes: np.ndarray
 
@@ -131,6 +133,7 @@ def new_scratch() -> Scratch:
         _zeros(SIZE, np.uint32),
         _zeros(SIZE),
         _zeros(SIZE),
+        _zeros((4, SIZE), np.uint32),
         _new_light_samples(),
         _zeros((4, 8)),
     )

@@ -335,17 +335,6 @@ def magnitude(typingctx: Any, vector: Any) -> Any:
 
 
 @intrinsic
-def square_root(typingctx: Any, vector: Any) -> Any:
-    """Square roots, as `math.sqrt` rounds them."""
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = args[0].type
-        return _call(builder, f"llvm.sqrt.{_named(kind)}", kind, args)
-
-    return vector(vector), codegen
-
-
-@intrinsic
 def negative(typingctx: Any, vector: Any) -> Any:
     """Float lanes with their signs turned, those of zeros too."""
     return vector(vector), lambda context, builder, sig, args: builder.fneg(args[0])
@@ -480,6 +469,13 @@ def load_ints(typingctx: Any, array: Any, start: Any, lanes: Any) -> Any:
         return loaded
 
     return vector(array, types.intp, lanes), codegen
+
+
+@intrinsic
+def size_of(typingctx: Any, array: Any) -> Any:
+    """Bytes of an entry of an array, which the compiler knows; `array.itemsize` is read each time."""
+    size = np.dtype(str(array.dtype)).itemsize
+    return types.intp(array), lambda context, builder, sig, args: context.get_constant(types.intp, size)
 
 
 @intrinsic

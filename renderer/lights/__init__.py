@@ -212,7 +212,7 @@ def pick(cdf: np.ndarray, u: float) -> tuple[int, float, float]:
         high = high if behind else middle
     before = cdf[low]
     probability = cdf[low + 1] - before
-    return low, probability, min((u - before) / probability, BELOW_ONE)
+    return low, probability, min((u - before) * (1.0 / probability), BELOW_ONE)
 
 
 @device

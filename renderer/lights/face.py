@@ -14,10 +14,9 @@ import numpy as np
 
 from termwise.renderer.by_reference import by_reference
 from termwise.renderer.jit import device
-from termwise.renderer.lights.arriving import arriving
 from termwise.renderer.material import emission
 from termwise.renderer.triangles import point_on_face
-from termwise.renderer.vector import Vec3, add, dot, entry, frame, length, scale, sub, to_world, vec3
+from termwise.renderer.vector import Vec3, add, dot, entry, frame, scale, sub, to_world, vec3
 from termwise.renderer.warp import INV_PI, square_to_cosine_hemisphere, square_to_triangle
 from termwise.scenes.model import Object, Scene
 
@@ -106,12 +105,14 @@ def sample(
     face = entry(faces.face, row)
     b1, b2 = square_to_triangle(u, v)
     direction = sub(point_on_face(scene.geometry, face, b1, b2), surface.point)
+    # `direction` is not normalised: each cosine carries one factor of the distance.
     cos_light = -dot(vec3(scene.geometry.normals, face), direction)
-    if cos_light <= 0.0:
+    cos_surface = dot(surface.normal, direction)
+    if cos_light <= 0.0 or cos_surface <= 0.0:
         return Vec3(0.0, 0.0, 0.0), direction, face
-    radiant = emission(scene, face, b1, b2)
-    strength = INV_PI * faces.area[row] * cos_light / (length(direction) * probability)
-    return arriving(surface.normal, direction, radiant, strength), direction, face
+    near = 1.0 / dot(direction, direction)
+    strength = INV_PI * faces.area[row] / probability * ((cos_light * near) * (cos_surface * near))
+    return scale(emission(scene, face, b1, b2), strength), direction, face
 
 
 @device

@@ -158,7 +158,7 @@ def _draw_directions(scene: SceneArrays, rule: int, asking: int, scratch: Scratc
 
     Loops of their own: those that draw and map eight points are vectorised.
     """
-    draw_2d(scratch.key, scratch.sample, asking, OCCLUSION, scratch.u, scratch.v)
+    draw_2d(scratch.key, scratch.sample, asking, OCCLUSION, scratch.u, scratch.v, scratch.words)
     _choose_sides(scene.materials.translucency, asking, scratch)
     _map(scene, scene.sky_map, rule, asking, scratch)
 

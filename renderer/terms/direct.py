@@ -305,7 +305,7 @@ def _light(scene: SceneArrays, count: int, scratch: Scratch) -> None:
         if scene.emitters.drawn:
             for i in range(count):
                 scratch.sample[i] = scene.light_samples * scratch.index[i] + k
-            draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v)
+            draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v, scratch.words)
         _arrive_on_both(scene, scene.materials.translucency, count, True, scratch)
         for i in range(count):
             straight = scale(column(samples.irradiance, i), share)
@@ -392,7 +392,7 @@ def _gather(scene: SceneArrays, paths: _Paths, begin: int, count: int, coherent:
     for k in range(count):
         path = paths.alive[begin + k]
         scratch.key[k], scratch.sample[k] = paths.key[path], paths.index[path]
-    draw_2d(scratch.key, scratch.sample, count, LIGHT, samples.u, samples.v)
+    draw_2d(scratch.key, scratch.sample, count, LIGHT, samples.u, samples.v, scratch.words)
     for k in range(count):
         path = paths.alive[begin + k]
         place = paths.place[path]
@@ -412,7 +412,7 @@ def _bounce(scene: SceneArrays, paths: _Paths, begin: int, count: int, kept: int
 
     Returns where they end.
     """
-    draw_2d(scratch.key, scratch.sample, count, BOUNCE, scratch.u, scratch.v)
+    draw_2d(scratch.key, scratch.sample, count, BOUNCE, scratch.u, scratch.v, scratch.words)
     directions = scratch.rays.directions
     for k in range(count):
         path = paths.alive[begin + k]
@@ -426,7 +426,7 @@ def _bounce(scene: SceneArrays, paths: _Paths, begin: int, count: int, kept: int
         local = scattered(scene.materials.translucency, surface, scratch.u[k], scratch.v[k])
         put_column(directions, k, to_world(frame(normal), local))
     trace_wave(scene, scratch.rays, count, False, scratch)
-    draw_2d(scratch.key, scratch.sample, count, ROULETTE, scratch.u, scratch.v)
+    draw_2d(scratch.key, scratch.sample, count, ROULETTE, scratch.u, scratch.v, scratch.words)
     put_surfaces(scene, scratch.rays, count, scratch)
     for k in range(count):
         surface = surface_at(scene, scratch.rays, k, scratch)

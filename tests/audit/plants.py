@@ -133,6 +133,11 @@ _SUN = "renderer/lights/sun.py"
 _SPHERE = "renderer/lights/sphere.py"
 _DISTANT = "renderer/lights/distant.py"
 _ARRIVING = "renderer/lights/arriving.py"
+# Of light sample i, before what uses it.
+_COSINE = (
+    "n, w = column(samples.normal, i), column(samples.way, i)\n"
+    "            cosine = (n.x * w.x + n.y * w.y + n.z * w.z) / (w.x * w.x + w.y * w.y + w.z * w.z) ** 0.5\n"
+)
 _MATERIAL = "renderer/material.py"
 _DIELECTRIC = "renderer/dielectric.py"
 _LOBE = "renderer/microfacet.py"
@@ -177,35 +182,33 @@ PLANTS = (
     Plant(
         "direct: cosine twice",
         DIRECT,
-        _SAMPLING,
-        "(cos_surface / (square * distance))",
-        "(cos_surface * cos_surface / (square * square))",
+        _DIRECT,
+        "straight = scale(column(samples.irradiance, i), share)",
+        f"{_COSINE}            straight = scale(column(samples.irradiance, i), share * max(cosine, 0.0))",
     ),
-    Plant("direct: cosine forgotten", DIRECT, _SAMPLING, "(cos_surface / (square * distance))", "(one / square)"),
     Plant(
-        "direct: the light's cosine forgotten",
+        "direct: cosine forgotten",
         DIRECT,
-        _SAMPLING,
-        "* cos_light / (distance * probability)",
-        "/ probability",
+        _DIRECT,
+        "straight = scale(column(samples.irradiance, i), share)",
+        f"{_COSINE}            straight = scale(column(samples.irradiance, i), share / max(cosine, 1e-6))",
     ),
-    Plant(
-        "direct: the light's area twice", DIRECT, _SAMPLING, "splat(INV_PI, 8) * area", "splat(2.0 * INV_PI, 8) * area"
-    ),
-    Plant("direct: 1/pi lost", DIRECT, _SAMPLING, "splat(INV_PI, 8) * area", "area"),
+    Plant("direct: the light's cosine forgotten", DIRECT, _SAMPLING, "(cos_light * near)", "near"),
+    Plant("direct: the light's area twice", DIRECT, _SAMPLING, "splat(INV_PI * faces", "splat(2.0 * INV_PI * faces"),
+    Plant("direct: 1/pi lost", DIRECT, _SAMPLING, "splat(INV_PI * faces", "splat(faces"),
     Plant(
         "light picked with the wrong probability",
         DIRECT,
         _SAMPLING,
-        "splat(emitters.cdf[index + 1] - emitters.cdf[index], 8)",
-        "splat(emitters.cdf[index + 1], 8)",
+        "probability = emitters.cdf[index + 1] - emitters.cdf[index]",
+        "probability = emitters.cdf[index + 1]",
     ),
     Plant(
         "direct: distance clamped inside the pdf",
         DIRECT,
         _SAMPLING,
-        "    distance = square_root(square)",
-        "    square = choose(square > splat(25.0, 8), square, splat(25.0, 8))\n    distance = square_root(square)",
+        "near = one / (x * x + y * y + z * z)",
+        "near = minimum(one / (x * x + y * y + z * z), splat(1.0 / 25.0, 8))",
     ),
     Plant(
         "direct: shadow ray too short",
@@ -329,8 +332,8 @@ PLANTS = (
         "half-pixel shift",
         DIRECT,
         "renderer/camera.py",
-        "mad(camera.across, x / camera.width",
-        "mad(camera.across, (x + 0.5) / camera.width",
+        "mad(camera.across, x, camera.corner)",
+        "mad(camera.across, x + 0.5, camera.corner)",
     ),
     Plant(
         "scene file of another scene",
@@ -441,8 +444,9 @@ PLANTS = (
         "one point of the light for all pixels and replicates",
         FEW,
         _DIRECT,
-        "draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v)",
-        "scratch.pixel[:] = np.uint64(7); draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v)",
+        "draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v, scratch.words)",
+        "scratch.pixel[:] = np.uint64(7); "
+        "draw_2d(scratch.pixel, scratch.sample, count, LIGHT, samples.u, samples.v, scratch.words)",
     ),
     Plant("photons: power less by 1 %", PHOTON_MAP, _TRACING, "power /= emitted", "power *= 0.99 / emitted"),
     Plant(
@@ -565,7 +569,7 @@ PLANTS = (
         "lights: the rest of the number not stretched",
         DIRECT,
         _SAMPLING,
-        "u = minimum((u - before) / probability, splat(BELOW_ONE, 8))",
+        "u = minimum((u - before) * stretch, splat(BELOW_ONE, 8))",
         "u = minimum(u, splat(BELOW_ONE, 8))",
     ),
     Plant(
@@ -586,8 +590,8 @@ PLANTS = (
         "path: roulette by the numbers of the direction",
         PATH,
         _DIRECT,
-        "draw_2d(scratch.key, scratch.sample, count, ROULETTE, scratch.u, scratch.v)",
-        "draw_2d(scratch.key, scratch.sample, count, BOUNCE, scratch.u, scratch.v)",
+        "draw_2d(scratch.key, scratch.sample, count, ROULETTE, scratch.u, scratch.v, scratch.words)",
+        "draw_2d(scratch.key, scratch.sample, count, BOUNCE, scratch.u, scratch.v, scratch.words)",
     ),
     Plant(
         "splitting: the last sample of a shared camera ray lost",
@@ -867,8 +871,8 @@ PLANTS = (
         "camera: width for height",
         FLAT,
         _CAMERA,
-        "mad(camera.down, y / camera.height, direction)",
-        "mad(camera.down, y / camera.width, direction)",
+        "mad(camera.down, y, ",
+        "mad(camera.down, y * camera.height / camera.width, ",
     ),
     Plant(
         "camera: up not turned with the view",
@@ -881,8 +885,9 @@ PLANTS = (
         "camera: rays through half of each pixel",
         OUTSIDE,
         _CAMERA,
-        "        return sample_2d(sampler, FILM)",
-        "        u, v = sample_2d(sampler, FILM)\n        return 0.5 * u, 0.5 * v",
+        "        draw_2d(key, index, count, FILM, u, v, words)\n",
+        "        draw_2d(key, index, count, FILM, u, v, words)\n"
+        "        for k in range(count):\n            u[k], v[k] = 0.5 * u[k], 0.5 * v[k]\n",
     ),
     # Images on surfaces.
     Plant("image: upside down", IMAGES, _IMAGE, "_along(1.0 - v, ", "_along(v, "),
