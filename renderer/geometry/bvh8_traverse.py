@@ -34,6 +34,7 @@ from termwise.renderer.geometry.simd import (
     maximum,
     minimum,
     numbers,
+    size_of,
     smallest,
     splat,
     store,
@@ -229,15 +230,21 @@ def edges(a: tuple, b: tuple, c: tuple, s: Shear) -> Triangles:
 
 
 @device
+def depths(s: Shear, hit: Triangles) -> int:
+    """Distances of 8 hits, times det."""
+    return (hit.u * hit.az + hit.v * hit.bz + hit.w * hit.cz) * s.shear[2]
+
+
+@device
 def distances(s: Shear, hit: Triangles, scale: int) -> int:
     """Distances of 8 hits, `scale` being 1 / det."""
-    return (hit.u * hit.az + hit.v * hit.bz + hit.w * hit.cz) * s.shear[2] * scale
+    return depths(s, hit) * scale
 
 
 @device
 def face_of(leaves: np.ndarray, leaf: int, lane: int) -> int:
     """Face of a leaf's triangle."""
-    return load_int(leaves, (leaf * LEAF + FACES) * (leaves.itemsize // 4) + lane)
+    return load_int(leaves, (leaf * LEAF + FACES) * (size_of(leaves) // 4) + lane)
 
 
 @device

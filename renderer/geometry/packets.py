@@ -41,11 +41,12 @@ from termwise.renderer.geometry.simd import (
     narrow,
     negative,
     numbers,
+    size_of,
     splat,
     store,
     widen,
 )
-from termwise.renderer.geometry.streams import fetch_leaf, fetch_node, leaf_of_ray, put_nearest
+from termwise.renderer.geometry.streams import fetch_leaf, fetch_node, is_hidden, leaf_of_ray, put_nearest
 from termwise.renderer.geometry.wave import SIZE, Wave
 from termwise.renderer.jit import device
 from termwise.renderer.vector import entry
@@ -352,7 +353,7 @@ def _cut_triangles(wave: Wave, leaves: np.ndarray, leaf: int, p: Packet, reach: 
         splat(np.float32(2.0**-120), 8),
     )
     store(wave.scaled, _AT_HAND + 72, error)
-    faces = load_ints(leaves, (leaf * LEAF + FACES) * (leaves.itemsize // 4), 8)
+    faces = load_ints(leaves, (leaf * LEAF + FACES) * (size_of(leaves) // 4), 8)
     return bits(met & (faces >= splat(np.int32(0), 8)))
 
 
@@ -429,13 +430,13 @@ def _meet(leaves: np.ndarray, leaf: int, lane: int, p: Packet, wave: Wave, k: in
 @device
 def _meet_leaf(wide: Bvh8, leaf: int, p: Packet, wave: Wave, r: int, far: float, hides: bool) -> bool:
     """A leaf's triangles for ray r, to the last bit: whether one changes anything, which is written to the wave."""
-    hit, scale, t, faces, met = leaf_of_ray(wide, wave, r, leaf)
+    hit, depth, faces, met = leaf_of_ray(wide, wave, r, leaf)
     if hides:
-        if bits(met & (t < splat(far, 8)) & (faces != splat(wave.target[r], 8))) == 0:
+        if not is_hidden(wave, r, hit, depth, faces, met, far):
             return False
         wave.scaled[0, _REACH + r] = np.float32(-1.0)
         return True
-    if not put_nearest(wave, r, hit, scale, t, faces, met):
+    if not put_nearest(wave, r, hit, depth, faces, met):
         return False
     reach = wave.t[r] * abs(wave.directions[p.kz // 8, r]) * ROUND_UP
     wave.scaled[0, _REACH + r] = np.float32(reach)

@@ -21,7 +21,7 @@ from termwise.renderer.geometry.bvh8_traverse import (
     ROUND_UP,
     Shear,
     Triangles,
-    distances,
+    depths,
     triangles_of,
 )
 from termwise.renderer.geometry.simd import (
@@ -43,6 +43,7 @@ from termwise.renderer.geometry.simd import (
     numbers,
     prefetch,
     rows,
+    size_of,
     smallest,
     splat,
     store,
@@ -163,14 +164,13 @@ def _shear(wave: Wave, r: int) -> Shear:
 
 @device
 def leaf_of_ray(wide: Bvh8, wave: Wave, r: int, leaf: int) -> tuple:
-    """Ray r against a leaf's triangles: what it meets of them, 1 / det, distances, faces, and which it may hit."""
+    """Ray r against a leaf's triangles: what its line meets of them, `t det`, faces, and which it may hit."""
     shear = _shear(wave, r)
     hit = triangles_of(wide.leaves, leaf, shear)
-    scale = splat(1.0, 8) / hit.det
-    t = distances(shear, hit, scale)
-    faces = load_ints(wide.leaves, (leaf * LEAF + FACES) * (wide.leaves.itemsize // 4), 8)
+    depth = depths(shear, hit)
+    faces = load_ints(wide.leaves, (leaf * LEAF + FACES) * (size_of(wide.leaves) // 4), 8)
     left = (faces < splat(wave.first[r], 8)) | (faces >= splat(wave.end[r], 8))
-    return hit, scale, t, faces, hit.inside & (t > splat(0.0, 8)) & left
+    return hit, depth, faces, hit.inside & left
 
 
 @device
@@ -183,7 +183,7 @@ def fetch_node(nodes: np.ndarray, node: int) -> None:
 @device
 def fetch_leaf(leaves: np.ndarray, leaf: int) -> None:
     """Fetch a leaf into the cache."""
-    for line in range(0, LEAF, 64 // leaves.itemsize):
+    for line in range(0, LEAF, 64 // size_of(leaves)):
         prefetch(leaves, leaf * LEAF + line)
 
 
@@ -237,8 +237,17 @@ def _test_leaves(wide: Bvh8, wave: Wave, waiting: int, far: float, stack: np.nda
         fetch_leaf(wide.leaves, -1 - entry(stack, _LEAF_NODES + min(k + _AHEAD, waiting - 1)))
         if wave.found[r]:
             continue
-        _, _, t, faces, met = leaf_of_ray(wide, wave, r, leaf)
-        wave.found[r] = bits(met & (t < splat(far, 8)) & (faces != splat(wave.target[r], 8))) != 0
+        hit, depth, faces, met = leaf_of_ray(wide, wave, r, leaf)
+        wave.found[r] = is_hidden(wave, r, hit, depth, faces, met, far)
+
+
+@device
+def is_hidden(wave: Wave, r: int, hit: Triangles, depth: int, faces: int, met: int, far: float) -> bool:
+    """Whether one of what ray r may hit of a leaf hides what lies `far` away."""
+    t = depth * (splat(1.0, 8) / hit.det)
+    # No branch for leaves that hold nothing: it is guessed wrong too often (ambient takes 1.02 of the time with it).
+    met = met & (faces != splat(wave.target[r], 8))
+    return bits(met & (t > splat(0.0, 8)) & (t < splat(far, 8))) != 0
 
 
 @device
@@ -285,8 +294,8 @@ def closest_hits_of_stream(wide: Bvh8, wave: Wave, rays: int, far: float, stack:
             going_back += 1 - here
         for k in range(at_leaves):
             r = entry(stack, leaves + k)
-            hit, scale, t, faces, met = leaf_of_ray(wide, wave, r, -1 - entry(stack, _NODE + r))
-            if put_nearest(wave, r, hit, scale, t, faces, met):
+            hit, depth, faces, met = leaf_of_ray(wide, wave, r, -1 - entry(stack, _NODE + r))
+            if put_nearest(wave, r, hit, depth, faces, met):
                 wave.scaled[9, r] = np.float32(wave.t[r] * wave.shears[6, r])
             stack[back + going_back] = r
             going_back += 1
@@ -317,10 +326,14 @@ def closest_hits_of_stream(wide: Bvh8, wave: Wave, rays: int, far: float, stack:
 
 
 @device
-def put_nearest(wave: Wave, r: int, hit: Triangles, scale: int, t: int, faces: int, met: int) -> bool:
+def put_nearest(wave: Wave, r: int, hit: Triangles, depth: int, faces: int, met: int) -> bool:
     """Write the nearest of what ray r may hit of a leaf; whether any is nearer than what it had."""
     nearer = False
-    lanes = bits(met & (t <= splat(wave.t[r], 8)))
+    if bits(met) == 0:  # as in most leaves
+        return False
+    scale = splat(1.0, 8) / hit.det
+    t = depth * scale
+    lanes = bits(met & (t > splat(0.0, 8)) & (t <= splat(wave.t[r], 8)))
     while lanes != 0:
         lane = lowest_bit(lanes)
         lanes &= lanes - 1
