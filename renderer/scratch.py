@@ -68,7 +68,7 @@ class Scratch(NamedTuple):
     front : (3, 64) float64, what arrives at the front of a translucent surface.
     side : (64,) float64, the side of its face on which a ray has met each surface whose point is in `samples`.
     number, asks : (64,) int64 and bool, how many samples a primary hit is for, and whether they have rays.
-    rays : the occlusion rays; `lane` (64,) int64 is the light sample of each, `share` (64,) float64 the translucency
+    rays : the occlusion rays; `lane` (64,) int32 is the light sample of each, `share` (64,) float64 the translucency
         where it begins, or the share of the side that a light sample is of.
     key, sample : (64,) uint64 and uint32, the randomness of each occlusion ray.
     u, v : (64,) float64 each, points of the unit square: of the camera rays, then of what leaves their hits.
@@ -127,7 +127,7 @@ def new_scratch() -> Scratch:
         _zeros(SIZE, np.int64),
         _zeros(SIZE, np.bool_),
         new_wave(),
-        _zeros(SIZE, np.int64),
+        _zeros(SIZE, np.int32),
         _zeros(SIZE),
         _zeros(SIZE, np.uint64),
         _zeros(SIZE, np.uint32),

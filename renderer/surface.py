@@ -273,6 +273,19 @@ def put_leaving(scene: SceneArrays, wave: Wave, i: int, face: int) -> None:
 
 
 @device
+def put_all_leaving(scene: SceneArrays, wave: Wave, face: np.ndarray, count: int) -> None:
+    """Let each of the first `count` rays of a wave pass what one passes that leaves its face."""
+    if _VECTORS and not scene.ignore_object:
+        for k in range(0, count, 8):
+            its = load(face, k, 8)
+            store(wave.first, k, its)
+            store(wave.end, k, its + splat(np.int32(1), 8))
+        return
+    for i in range(count):
+        put_leaving(scene, wave, i, entry(face, i))
+
+
+@device
 def put_occlusion_ray(scene: SceneArrays, wave: Wave, i: int, surface: Surface, direction: Vec3, target: int) -> None:
     """Make ray i of a wave one that leaves a surface; face `target` does not hide."""
     put_leaving_ray(scene, wave, i, surface.point, surface.face)

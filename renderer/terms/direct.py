@@ -12,11 +12,25 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from termwise.renderer.arrays import FAINT, SceneArrays
+from termwise.renderer.arrays import FAINT, SceneArrays, ShadowRule
 from termwise.renderer.film import Work, accumulate, accumulate_hits, next_hits, no_hits
 from termwise.renderer.geometry import simd
 from termwise.renderer.geometry.intersect import make_ray
-from termwise.renderer.geometry.simd import copy
+from termwise.renderer.geometry.simd import (
+    bits,
+    choose,
+    compress,
+    copy,
+    count_bits,
+    in_lanes,
+    load,
+    lowest_bit,
+    numbers,
+    put_rows,
+    rows,
+    splat,
+    store,
+)
 from termwise.renderer.geometry.wave import SIZE, Wave
 from termwise.renderer.jit import device, kernel
 from termwise.renderer.light_sampling import sample_lights
@@ -33,6 +47,7 @@ from termwise.renderer.surface import (
     arriving,
     arriving_hidden,
     occlude_wave,
+    put_all_leaving,
     put_leaving,
     put_leaving_ray,
     put_surfaces,
@@ -45,6 +60,7 @@ from termwise.renderer.surface import (
 )
 from termwise.renderer.terms.estimator import Compiled
 from termwise.renderer.terms.variant import Variant
+from termwise.renderer.textures import Textures
 from termwise.renderer.vector import (
     Vec3,
     add,
@@ -230,17 +246,12 @@ def _arrive(scene: SceneArrays, count: int, coherent: bool, scratch: Scratch) ->
     """Sample E / pi at the first `count` points of `scratch.samples`; black at those of no face."""
     samples, wave = scratch.samples, scratch.rays
     sample_lights(scene, samples, count)
-    asking = 0
-    for i in range(count):
-        scratch.lane[asking] = i
-        black = scene.skips.horizon and is_black(column(samples.irradiance, i))
-        asking += 1 if samples.face[i] >= 0 and not black else 0
+    asking = _put_asking(scene, count, scratch)
     if _VECTORS and asking == count:
         copy(wave.origins, samples.point)
         copy(wave.directions, samples.way)
         copy(wave.target, samples.target)
-        for i in range(count):
-            put_leaving(scene, wave, i, entry(samples.face, i))
+        put_all_leaving(scene, wave, samples.face, count)
     else:
         for i in range(count):
             if samples.face[i] < 0:
@@ -254,6 +265,28 @@ def _arrive(scene: SceneArrays, count: int, coherent: bool, scratch: Scratch) ->
             i = scratch.lane[k]
             hidden = arriving_hidden(scene, column(samples.irradiance, i), wave, k, 1.0, scratch)
             put_column(samples.irradiance, i, hidden)
+
+
+@device
+def _put_asking(scene: SceneArrays, count: int, scratch: Scratch) -> int:
+    """Put into `lane` which of the first `count` samples have a ray; how many."""
+    samples, asking = scratch.samples, 0
+    if _VECTORS:
+        zero = splat(0.0, 8)
+        for k in range(0, count, 8):
+            number = numbers(8) + splat(np.int32(k), 8)
+            asks = (load(samples.face, k, 8) >= splat(np.int32(0), 8)) & (number < splat(np.int32(count), 8))
+            if scene.skips.horizon:
+                x, y, z = rows(samples.irradiance, k)
+                asks = asks & ((x != zero) | (y != zero) | (z != zero))
+            store(scratch.lane, asking, compress(number, asks))
+            asking += count_bits(bits(asks))
+        return asking
+    for i in range(count):
+        scratch.lane[asking] = i
+        black = scene.skips.horizon and is_black(column(samples.irradiance, i))
+        asking += 1 if samples.face[i] >= 0 and not black else 0
+    return asking
 
 
 @device
@@ -312,6 +345,48 @@ def _light(scene: SceneArrays, count: int, scratch: Scratch) -> None:
             put_column(scratch.radiance, i, add(column(scratch.radiance, i), straight))
 
 
+@device
+def _put_weights(
+    scene: SceneArrays, rule: ShadowRule | None, images: Textures | None, count: int, scratch: Scratch
+) -> None:
+    """Put weights of the first `count` primary hits, in `samples` the faces of those that take light, and no light."""
+    if _VECTORS and rule is None and images is None:
+        for k in range(0, count, 8):
+            _put_eight_weights(scene, k, scratch)
+        return
+    for i in range(count):
+        surface = surface_at(scene, scratch.primary, i, scratch)
+        weight, face = Vec3(0.0, 0.0, 0.0), -1
+        if surface.face >= 0 and not shadowed(scene, surface, scratch):
+            weight = diffuse_weight(scene, surface)
+            if not (scene.skips.diffuse and is_black(weight)):
+                face = surface.face
+        scratch.samples.face[i] = face
+        put_column(scratch.weight, i, weight)
+        put_column(scratch.radiance, i, Vec3(0.0, 0.0, 0.0))
+
+
+@device
+def _put_eight_weights(scene: SceneArrays, k: int, scratch: Scratch) -> None:
+    """Those of hits k ... k + 7, where a weight is its object's alone."""
+    met = load(scratch.primary.face, k, 8)
+    zero, none = splat(0.0, 8), splat(np.int32(-1), 8)
+    weight, face = (zero, zero, zero), none
+    left = bits(met > none)
+    while left != 0:
+        # Neighbours have mostly met one face.
+        one = entry(scratch.primary.face, k + lowest_bit(left))
+        mine = met == splat(np.int32(one), 8)
+        left &= ~bits(mine)
+        its = vec3(scene.materials.diffuse, entry(scene.geometry.object, one))
+        weight = in_lanes(mine, its, weight)
+        if not (scene.skips.diffuse and is_black(its)):
+            face = choose(mine, met, face)
+    store(scratch.samples.face, k, face)
+    put_rows(scratch.weight, k, weight)
+    put_rows(scratch.radiance, k, (zero, zero, zero))
+
+
 @kernel
 def _next_event(
     scene: SceneArrays, photons: PhotonMap, key: np.uint64, work: Work, out: np.ndarray, scratch: Scratch
@@ -323,16 +398,7 @@ def _next_event(
         if hits.count == 0:
             break
         put_surfaces(scene, scratch.primary, hits.count, scratch)
-        for i in range(hits.count):
-            surface = surface_at(scene, scratch.primary, i, scratch)
-            weight, face = Vec3(0.0, 0.0, 0.0), -1
-            if surface.face >= 0 and not shadowed(scene, surface, scratch):
-                weight = diffuse_weight(scene, surface)
-                if not (scene.skips.diffuse and is_black(weight)):
-                    face = surface.face
-            samples.face[i] = face
-            put_column(scratch.weight, i, weight)
-            put_column(scratch.radiance, i, Vec3(0.0, 0.0, 0.0))
+        _put_weights(scene, scene.shadow_rule, scene.materials.textures, hits.count, scratch)
         if len(photons.face) > 0:
             for i in range(hits.count):
                 if samples.face[i] >= 0:
