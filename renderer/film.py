@@ -182,7 +182,7 @@ def _is_first(work: Work, i: int, split: int, scratch: Scratch) -> bool:
 def _look(scene: SceneArrays, work: Work, split: int, count: int, scratch: Scratch) -> None:
     """Trace the first `count` primary hits."""
     primary, camera = scratch.primary, scene.camera
-    # Loops of their own: what hashes and maps eight points is vectorised.
+    # In loops of their own, which are vectorised.
     draw_on_film(camera, scratch.pixel, scratch.index, count, scratch.u, scratch.v, scratch.words)
     for i in range(count):
         direction = direction_through(camera, scratch.x[i] + scratch.u[i], scratch.y[i] + scratch.v[i])

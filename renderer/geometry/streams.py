@@ -328,9 +328,9 @@ def closest_hits_of_stream(wide: Bvh8, wave: Wave, rays: int, far: float, stack:
 @device
 def put_nearest(wave: Wave, r: int, hit: Triangles, depth: int, faces: int, met: int) -> bool:
     """Write the nearest of what ray r may hit of a leaf; whether any is nearer than what it had."""
-    nearer = False
     if bits(met) == 0:  # as in most leaves
         return False
+    nearer = False
     scale = splat(1.0, 8) / hit.det
     t = depth * scale
     lanes = bits(met & (t > splat(0.0, 8)) & (t <= splat(wave.t[r], 8)))

@@ -335,6 +335,8 @@ def _known(curves: dict[Any, Curve], truth: Truth) -> dict[Any, tuple[list[float
 def _far_enough(ours: Curve, theirs: dict[Any, Curve], truth: Truth) -> int:
     """Samples with which ours has the least error of what may be Mitsuba's best, where it gets so far."""
     known = list(_known(theirs, truth).values())
+    if not known:  # no error that both sides reach
+        return ours.samples[-1]
     least = max(min(known[place][0]) for place in leaders(known, _REACH[1]))
     errors = zip(ours.samples, pooled(ours.square, truth.noise), strict=True)
     return next((samples for samples, error in errors if error <= least), ours.samples[-1])

@@ -62,6 +62,29 @@ def test_curves_that_do_not_meet_have_no_targets():
     assert curves.targets([0.0, 0.0], [[0.0, 0.0]]) == ()
 
 
+def _curve(rmse: list[float], seconds: list[float]) -> equal_error.Curve:
+    samples = tuple(2**k for k in range(len(rmse)))
+    return equal_error.Curve(samples, np.array([rmse]) ** 2, np.array([seconds]))
+
+
+@pytest.mark.parametrize(
+    ("theirs", "expected"),
+    [
+        # One that is behind where it ends counts for nothing; 4 samples of ours get below 0.1.
+        ({"fast": _curve([0.4, 0.1], [1.0, 16.0]), "behind": _curve([0.4, 0.06], [50.0, 9000.0])}, 4),
+        # Below 0.1 the slow one would pass for the best: no target is there.
+        ({"fast": _curve([0.4, 0.1], [1.0, 16.0]), "slow": _curve([0.4, 0.02], [10.0, 4000.0])}, 4),
+        # Ours never gets so far.
+        ({"slow": _curve([0.4, 0.02], [10.0, 4000.0])}, 8),
+        ({}, 8),
+    ],
+    ids=["one leads", "two lead", "further than ours", "apart"],
+)
+def test_ours_goes_as_far_as_what_may_be_their_best(theirs, expected):
+    ours = _curve([0.4, 0.2, 0.09, 0.05], [1.0, 2.0, 4.0, 8.0])
+    assert equal_error._far_enough(ours, theirs, equal_error.Truth(np.zeros((1, 1, 3)), 0.0, 0.0)) == expected
+
+
 def test_the_error_of_the_truth_is_taken_away():
     """Mean squares of 0.05 about a truth that is itself 0.01 off: the error is the root of 0.04."""
     square = np.array([[0.04, 0.005], [0.06, 0.007]])
